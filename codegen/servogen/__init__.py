@@ -1,0 +1,39 @@
+"""servogen: from servo-constraints on a mechanical model, written in CasADi SX, to dependency-free C.
+
+The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints Based on the Generalized Inverse" (2004).
+"""
+
+from servogen.compiler import build, build_solver
+from servogen.errors import SceneError
+from servogen.package import Package
+from servogen.results import Control, Info, Path, Status
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
+from servogen.scene.mechanism import Mechanism
+from servogen.scene.scene import Scene
+from servogen.scene.solver import Solver
+from servogen.scene.symbols import Parameter, Parameters, Ref, References
+from servogen.twins.reference import reference
+from servogen.version import VERSION as __version__
+
+__all__ = [
+    "Control",
+    "ControlsInvolved",
+    "Holonomic",
+    "Info",
+    "Mechanism",
+    "Nonholonomic",
+    "Package",
+    "Parameter",
+    "Parameters",
+    "Path",
+    "Ref",
+    "References",
+    "Scene",
+    "SceneError",
+    "Solver",
+    "Status",
+    "__version__",
+    "build",
+    "build_solver",
+    "reference",
+]

@@ -1,0 +1,78 @@
+"""How the command speaks: tables and progress for a person, JSON for programs."""
+
+import dataclasses
+import enum
+import json
+import math
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+err = Console(stderr=True, highlight=False)
+
+GOOD, FAILED, WRONG_INPUT = 0, 1, 2
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
+
+Advance = Callable[[int, int, str], None]
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Advance]:
+    """A bar on stderr: call the result with (done, total, what). Nothing where quiet or not at a terminal."""
+    if quiet or not err.is_terminal:
+        yield lambda done, total, text: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total, text: bar.update(task, completed=done, total=total, description=text)
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
+    """Print a table; `right` are the columns of numbers."""
+    shown = Table(title=title, title_justify="left")
+    for k, name in enumerate(header):
+        shown.add_column(name, justify="right" if k in right else "left", overflow="fold")
+    for row in rows:
+        shown.add_row(*(str(cell) for cell in row))
+    out.print(shown)
+
+
+def emit_json(value: Any) -> None:
+    """One JSON document on stdout; numbers that are not finite become strings."""
+    print(json.dumps(to_jsonable(value), indent=2))
+
+
+def to_jsonable(value: Any) -> Any:
+    """Dataclasses, enums, paths and arrays as plain JSON values."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_jsonable(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, dict):
+        return {str(k): to_jsonable(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return to_jsonable(value.tolist())
+    if isinstance(value, list | tuple):
+        return [to_jsonable(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else str(float(value))
+    if isinstance(value, np.integer):
+        return int(value)
+    return str(value) if isinstance(value, Path) else value
+
+
+def show_warnings() -> None:
+    """Warnings in one line each, without the source of servogen."""
+    warnings.showwarning = lambda message, *rest, **more: err.print(f"[yellow]warning:[/] {message}", soft_wrap=True)

@@ -1,0 +1,84 @@
+"""servogen list, generate, solver: what there is, and C out of it."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from servogen.cli.console import emit_json, json_option, out, table
+from servogen.compiler import build, build_solver
+from servogen.package import Package
+from servogen.scene.loading import builtin_names, builtin_summary, load_scene
+from servogen.scene.solver import EPSILON, Scalar
+
+scalar_option = click.option(
+    "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."
+)
+out_option = click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the files; made if need be."
+)
+prefix_option = click.option("--prefix", help="Prefix of all C names; default the scene's name, and _f32 for float32.")
+
+
+@click.command("list")
+@json_option
+def list_scenes(as_json: bool) -> None:
+    """The built-in scenes."""
+    scenes = {name: (load_scene(name), builtin_summary(name)) for name in builtin_names()}
+    if as_json:
+        emit_json(
+            [{"name": n, "kind": s.kind, "m": s.rows, "l": s.controls, "text": t} for n, (s, t) in scenes.items()]
+        )
+        return
+    rows = [(n, f"{s.rows}x{s.controls}", "S tau = z" if s.kind == "servo" else "A tau' = B", t)
+            for n, (s, t) in scenes.items()]  # fmt: skip
+    table("Built-in scenes", ("name", "shape", "system", "what it is"), rows)
+
+
+@click.command()
+@click.argument("scene")
+@scalar_option
+@prefix_option
+@out_option
+@json_option
+def generate(scene: str, scalar: Scalar, prefix: str | None, out: Path | None, as_json: bool) -> None:
+    """Generate the C of SCENE, by default into ./<prefix>/."""
+    loaded = load_scene(scene)
+    folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
+    _report(build(loaded, folder, scalar, prefix), as_json)
+
+
+@click.command()
+@click.argument("m", type=click.IntRange(1, 12))
+@click.argument("l", type=click.IntRange(1, 12))
+@scalar_option
+@prefix_option
+@out_option
+@json_option
+def solver(m: int, l: int, scalar: Scalar, prefix: str | None, out: Path | None, as_json: bool) -> None:
+    """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
+    folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
+    _report(build_solver(m, l, folder, scalar, prefix=prefix), as_json)
+
+
+def _report(package: Package, as_json: bool) -> None:
+    if as_json:
+        emit_json({"path": package.path, "manifest": package.manifest})
+        return
+    rows = [_row(package, name, point) for name, point in package.manifest["entry_points"].items()]
+    table(
+        f"{package.prefix} ({package.module.target.scalar}): C functions, and operations of the scene's own code",
+        ("function", "operations", "of these"),
+        rows,
+        right=(1,),
+    )
+    for reason in package.manifest["entry_points"].get("control", {}).get("skipped", []):
+        out.print(f"  skipped  {reason}", markup=False)
+    for file in sorted([*package.manifest["files"], "manifest.json"]):
+        out.print(f"  wrote    {package.path / file}", markup=False, soft_wrap=True)
+
+
+def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
+    counts = point["operations"]
+    details = ", ".join(f"{n} {op}" for op, n in counts.items() if op != "total")
+    return f"{package.prefix}_{name}", counts["total"] or "", details or "the solver alone"

@@ -1,0 +1,46 @@
+"""`servogen`: the command."""
+
+import sys
+
+import click
+
+from servogen.cli.console import WRONG_INPUT, err, show_warnings
+from servogen.cli.generate import generate, list_scenes, solver
+from servogen.errors import SceneError
+from servogen.verify.tools import ToolMissing
+from servogen.version import VERSION
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(VERSION, prog_name="servogen")
+def cli() -> None:
+    """From servo-constraints on a mechanical model, written in CasADi, to dependency-free C.
+
+    SCENE is a built-in name (servogen list) or path/to/file.py[:variable].
+    Exit codes: 0 good, 1 a check failed, 2 wrong input.
+    """
+
+
+for command in (list_scenes, generate, solver):
+    cli.add_command(command)
+
+
+def main() -> None:
+    """Run the command; wrong input ends in one line and exit code 2."""
+    show_warnings()
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        sys.exit(stop.exit_code)
+    except click.Abort:
+        sys.exit(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(WRONG_INPUT)
+    except (SceneError, ToolMissing) as error:
+        err.print(f"[bold red]error:[/] {error}", soft_wrap=True, markup=True)
+        sys.exit(WRONG_INPUT)
+
+
+if __name__ == "__main__":
+    main()

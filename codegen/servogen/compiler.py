@@ -1,0 +1,57 @@
+"""The pipeline, on one page: derive, lower, optimise, plan, render, write."""
+
+from pathlib import Path
+
+from servogen.derive.derive import derive
+from servogen.derive.lower import lower
+from servogen.errors import SceneError
+from servogen.optimise.passes import optimise
+from servogen.package import Package, write
+from servogen.plan.module import Module, Target
+from servogen.plan.planner import plan, plan_solver_only
+from servogen.render.render import render
+from servogen.scene.names import check_identifier
+from servogen.scene.scene import Scene
+from servogen.scene.solver import EPSILON, Scalar, Solver
+
+
+def build(
+    scene: Scene, out: str | Path | None = None, scalar: Scalar = "float64", prefix: str | None = None
+) -> Package:
+    """Generate the C of a scene.
+
+    out: the package's folder; None makes a temporary one. scalar: "float64" or "float32".
+    prefix: of all C names; default the scene's name, and name_f32 for float32.
+    Raises SceneError for anything wrong with the scene.
+    """
+    module = compile_scene(scene, target_for(scene.name, scalar, prefix))
+    return write(render(module), out, module, scene)
+
+
+def compile_scene(scene: Scene, target: Target) -> Module:
+    """Scene -> Module: every stage but printing and writing."""
+    formulation = derive(scene)
+    program = lower(formulation)
+    program = optimise(program)
+    return plan(formulation, program, target)
+
+
+def build_solver(
+    m: int,
+    l: int,
+    out: str | Path | None = None,
+    scalar: Scalar = "float64",
+    solver: Solver | None = None,
+    prefix: str | None = None,
+) -> Package:
+    """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12."""
+    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix), solver or Solver())
+    return write(render(module), out, module, None)
+
+
+def target_for(name: str, scalar: Scalar, prefix: str | None) -> Target:
+    """The scalar and the prefix, checked."""
+    if scalar not in EPSILON:
+        raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
+    default = name if scalar == "float64" else f"{name}_f32"
+    return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"))

@@ -1,0 +1,1 @@
+"""Scene -> Formulation: S, z, A, B as SX, each with its equation."""

@@ -1,0 +1,36 @@
+"""Controls-involved servo-constraints: A tau' = B, Eqs. (36)-(41)."""
+
+import casadi as ca
+
+from servogen.derive.formulation import Formulation, Quantity
+from servogen.derive.mass import solve_with_mass
+from servogen.derive.rates import rate
+from servogen.scene.constraints import ControlsInvolved
+from servogen.scene.scene import Scene
+
+
+def derive_controls(scene: Scene) -> Formulation:
+    """phi, A and B; also y where it is an expression."""
+    mech = scene.mechanism
+    u_dot, mass = solve_with_mass(scene, mech.P + ca.mtimes(mech.G, mech.tau))
+    phi, B = [], []
+    for c in scene.constraints:
+        assert isinstance(c, ControlsInvolved)
+        phi.append(c.phi)
+        # every term of Eq. (40) is one directional derivative along the motion
+        B.append(ca.mtimes(c.Theta, c.phi) - rate(scene, c.phi, f"constraint {c.name!r}", u_dot))
+    A = ca.jacobian(ca.vertcat(*phi), mech.tau)
+    quantities = [
+        Quantity("phi", ca.vertcat(*phi), "Eq. (36)", "phi(q, u, tau, t)"),
+        Quantity("A", A, "Eq. (39)", "phi_tau"),
+        Quantity(
+            "B",
+            ca.vertcat(*B),
+            "Eq. (40)",
+            "-phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t + Theta phi",
+            needs_mass=True,
+        ),
+    ]
+    if isinstance(scene.y, ca.SX):
+        quantities.append(Quantity("y", scene.y, "Eq. (54)", "the free vector"))
+    return Formulation(scene, tuple(quantities), mass, affine_in_tau=not ca.depends_on(A, mech.tau))

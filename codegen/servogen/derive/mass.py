@@ -1,0 +1,194 @@
+"""Solving with the mass matrix Q: never its inverse, only one factorisation of what is structurally there.
+
+LDL^T where Q is symmetric by proof and positive definite over the domain by check, LU with pivoting otherwise.
+"""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.derive.formulation import MassTreatment
+from servogen.errors import SceneError
+from servogen.ir.lower import lower_expressions
+from servogen.ir.program import Input
+from servogen.optimise.passes import optimise
+from servogen.results import FloatArray
+from servogen.scene.domain import draw_states
+from servogen.scene.scene import Scene
+
+_SAMPLES = 32
+Rows = list[list[Any]]
+
+
+def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple[Any, MassTreatment]:
+    """X with Q X = right (Q^T X = right if transposed), and how it was found. right: SX, n_u x k."""
+    Q = scene.mechanism.Q
+    samples = sample(scene, Q)
+    _check_regular(scene, Q, samples)
+    if _is_diagonal(Q):
+        return _solve_diagonal(Q, right)
+    if not is_symmetric(scene, Q):
+        return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
+    if not all(np.all(np.linalg.eigvalsh(value) > 0) for value in samples):
+        return _solve_lu(Q, right, "Q is symmetric but not positive definite over the domain")
+    return _solve_ldlt(Q, right)
+
+
+def sample(scene: Scene, expression: Any, count: int = _SAMPLES) -> FloatArray:
+    """An expression of the scene's inputs and tau at `count` states of its domain: array (count, rows, columns)."""
+    assert scene.parameters is not None
+    fields = scene.input_fields()
+    symbols = [f.symbol for f in fields] + [f.symbol for f in scene.parameters]
+    states = draw_states(scene, count)
+    columns = [ca.DM(states[f.name].T) for f in fields]
+    columns += [ca.repmat(ca.DM(f.default), 1, count) for f in scene.parameters]
+    function = ca.Function("sample", symbols, [ca.densify(expression)])
+    values = np.array(function.map(count)(*columns)) if symbols else np.array(function())
+    rows, cols = expression.shape
+    return values.reshape(rows, count, cols).transpose(1, 0, 2)
+
+
+def is_symmetric(scene: Scene, matrix: Any) -> bool:
+    """Whether every pair of entries is one value number after optimisation: a proof, not a comparison of numbers."""
+    n = matrix.size1()
+    inputs = _symbols_as_inputs(matrix)
+    pairs = [(f"e{i}_{j}", matrix[i, j]) for i in range(n) for j in range(n) if i != j]
+    program = optimise(lower_expressions("symmetry", inputs, pairs))
+    node = {o.name: o.nodes[0] for o in program.outputs}
+    return all(node[f"e{i}_{j}"] == node[f"e{j}_{i}"] for i in range(n) for j in range(i))
+
+
+def _symbols_as_inputs(expression: Any) -> list[tuple[Input, Any]]:
+    return [(Input(f"s{k}", 1), s) for k, s in enumerate(ca.symvar(expression))]
+
+
+def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
+    n = Q.size1()
+    structural = ca.sprank(ca.sparsify(Q)) < n
+    finite = [value for value in samples if np.all(np.isfinite(value))]
+    if not finite:
+        raise SceneError("Q is not finite at any state drawn from the domain; give a domain in which it is")
+    generic = all(np.linalg.matrix_rank(_equilibrated(value)) < n for value in finite)
+    if structural or generic:
+        raise SceneError(
+            f"Q is structurally singular: its rank is below {n} at every state; "
+            "give each velocity parameter an inertia, or remove it from u"
+        )
+
+
+def _equilibrated(value: FloatArray) -> FloatArray:
+    """Rows and columns scaled to one, so that units do not look like singularity."""
+    rows = np.max(np.abs(value), axis=1, keepdims=True)
+    value = value / np.where(rows == 0, 1, rows)
+    columns = np.max(np.abs(value), axis=0, keepdims=True)
+    return np.asarray(value / np.where(columns == 0, 1, columns))
+
+
+def _is_diagonal(Q: Any) -> bool:
+    return all(Q[i, j].is_zero() for i in range(Q.size1()) for j in range(Q.size2()) if i != j)
+
+
+def _entries(matrix: Any) -> Rows:
+    dense = ca.densify(matrix)
+    return [[dense[i, j] for j in range(dense.size2())] for i in range(dense.size1())]
+
+
+def _matrix(rows: Rows) -> Any:
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+
+
+def _minus(a: Any, b: Any, c: Any) -> Any:
+    """a - b c, without a trace where b or c is zero."""
+    return a if b.is_zero() or c.is_zero() else a - b * c
+
+
+def _over(a: Any, b: Any) -> Any:
+    return a if a.is_zero() else a / b
+
+
+def _guards(pivots: list[Any], scales: list[Any], positive: bool) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The pivots that can only be judged at run time; constant ones are judged here."""
+    kept = []
+    for k, (pivot, scale) in enumerate(zip(pivots, scales, strict=True)):
+        if pivot.is_constant() and scale.is_constant():
+            if float(pivot) <= 0 and positive:
+                raise SceneError(f"Q is singular or not positive definite: pivot {k} is {float(pivot)}")
+        else:
+            kept.append((pivot, scale))
+    return tuple(p for p, _ in kept), tuple(s for _, s in kept)
+
+
+def _solve_diagonal(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
+    diagonal = [Q[k, k] for k in range(Q.size1())]
+    if all(d.is_one() for d in diagonal):
+        return right, MassTreatment("identity", "Q is the identity: no solve")
+    solution = [[_over(e, d) for e in row] for row, d in zip(_entries(right), diagonal, strict=True)]
+    for k, d in enumerate(diagonal):
+        if d.is_constant() and float(d) == 0:
+            raise SceneError(f"Q is structurally singular: its diagonal entry {k} is zero")
+    pivots, scales = _guards([ca.fabs(d) for d in diagonal], [ca.SX(0)] * len(diagonal), positive=False)
+    return _matrix(solution), MassTreatment("diagonal", "Q is diagonal: one division per row", pivots, scales)
+
+
+def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
+    n = Q.size1()
+    q, x = _entries(Q), _entries(right)
+    L: Rows = [[ca.SX(0)] * n for _ in range(n)]
+    d: list[Any] = []
+    for j in range(n):
+        weighted = [L[j][k] * d[k] if not L[j][k].is_zero() else ca.SX(0) for k in range(j)]
+        pivot = q[j][j]
+        for k in range(j):
+            pivot = _minus(pivot, L[j][k], weighted[k])
+        d.append(pivot)
+        for i in range(j + 1, n):
+            entry = q[i][j]
+            for k in range(j):
+                entry = _minus(entry, L[i][k], weighted[k])
+            L[i][j] = _over(entry, pivot)
+    for c in range(right.size2()):
+        for i in range(n):
+            for k in range(i):
+                x[i][c] = _minus(x[i][c], L[i][k], x[k][c])
+        for i in range(n):
+            x[i][c] = _over(x[i][c], d[i])
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                x[i][c] = _minus(x[i][c], L[k][i], x[k][c])
+    pivots, scales = _guards(d, [q[k][k] for k in range(n)], positive=True)
+    reason = "Q is symmetric by proof and positive definite over the domain: one LDL^T"
+    return _matrix(x), MassTreatment("LDL^T", reason, pivots, scales)
+
+
+def _solve_lu(Q: Any, right: Any, reason: str) -> tuple[Any, MassTreatment]:
+    """Gaussian elimination, rows exchanged by selection so that the code has no branches."""
+    n = Q.size1()
+    a = [q + r for q, r in zip(_entries(Q), _entries(right), strict=True)]
+    width = len(a[0])
+    pivots, scales = [], []
+    for k in range(n):
+        for i in range(k + 1, n):
+            if a[i][k].is_zero():
+                continue
+            swap = ca.fabs(a[i][k]) > ca.fabs(a[k][k])
+            for c in range(k, width):
+                upper, lower = a[k][c], a[i][c]
+                a[k][c], a[i][c] = ca.if_else(swap, lower, upper), ca.if_else(swap, upper, lower)
+        scale = ca.SX(0)
+        for i in range(n):
+            scale = ca.fmax(scale, ca.fabs(Q[i, k])) if not Q[i, k].is_zero() else scale
+        pivots.append(ca.fabs(a[k][k]))
+        scales.append(scale)
+        for i in range(k + 1, n):
+            factor = _over(a[i][k], a[k][k])
+            for c in range(k + 1, width):
+                a[i][c] = _minus(a[i][c], factor, a[k][c])
+    x = [row[n:] for row in a]
+    for c in range(width - n):
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                x[i][c] = _minus(x[i][c], a[i][k], x[k][c])
+            x[i][c] = _over(x[i][c], a[i][i])
+    kept, kept_scales = _guards(pivots, scales, positive=True)
+    return _matrix(x), MassTreatment("pivoted LU", f"{reason}: LU with row exchanges", kept, kept_scales)

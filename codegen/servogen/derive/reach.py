@@ -1,0 +1,69 @@
+"""Do the constraints reach the controls? Rows of S (or A) that vanish identically, or can never be independent."""
+
+import warnings
+
+import numpy as np
+
+from servogen.derive.formulation import Formulation
+from servogen.derive.lower import lower_quantities, parameter_defaults
+from servogen.errors import SceneError
+from servogen.ir.evaluate import evaluate
+from servogen.ir.rounding import rounding_bounds
+from servogen.optimise.passes import optimise
+from servogen.results import FloatArray
+from servogen.scene.domain import draw_states
+from servogen.scene.scene import Scene
+
+_SAMPLES = 32
+
+
+def check_reach(formulation: Formulation) -> None:
+    """SceneError naming a constraint whose row is identically zero; a warning naming rows that are never independent.
+
+    A row is identically zero when it is within its own rounding error of zero at every state drawn.
+    """
+    scene, name = formulation.scene, formulation.system[0]
+    labels = _row_labels(scene)
+    program = optimise(lower_quantities(scene, [q for q in formulation.quantities if q.name == name]))
+    states = draw_states(scene, _SAMPLES) | parameter_defaults(scene)
+    values = evaluate(program, states)[name]
+    bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, scene.rows, scene.controls)
+    good = np.all(np.isfinite(values), axis=(1, 2)) & np.all(np.isfinite(bounds), axis=(1, 2))
+    if not np.any(good):
+        raise SceneError(f"{name} is not finite at any state drawn from the domain; give a domain in which it is")
+    values, bounds = values[good], bounds[good]
+    for i, label in enumerate(labels):
+        if np.all(np.abs(values[:, i, :]) <= 2 * bounds[:, i, :]):
+            raise SceneError(
+                f"{label} does not reach the controls: its row of {name} is identically zero. Its relative degree is "
+                "higher; constrain a quantity that the controls change sooner, such as its derivative"
+            )
+    if scene.rows <= scene.controls:
+        _warn_of_dependence(name, labels, values)
+
+
+def _row_labels(scene: Scene) -> list[str]:
+    labels = []
+    for c in scene.constraints:
+        labels += [f"constraint {c.name!r}" + (f", row {k}" if c.size > 1 else "") for k in range(c.size)]
+    return labels
+
+
+def _warn_of_dependence(name: str, labels: list[str], values: FloatArray) -> None:
+    norms = np.linalg.norm(values, axis=2, keepdims=True)
+    rows = values / np.where(norms == 0, 1, norms)
+    m = len(labels)
+    if max(np.linalg.matrix_rank(value, tol=1e-9) for value in rows) == m:
+        return
+    cosines = np.abs(np.einsum("nik,njk->nij", rows, rows))
+    parallel = [
+        f"{labels[i]} and {labels[j]}"
+        for i in range(m)
+        for j in range(i + 1, m)
+        if np.min(cosines[:, i, j]) > 1 - 1e-12
+    ]
+    which = "; ".join(parallel) if parallel else ", ".join(labels)
+    warnings.warn(
+        f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",
+        stacklevel=6,
+    )

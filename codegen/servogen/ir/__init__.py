@@ -1,0 +1,1 @@
+"""The intermediate representation: operations, programs, lowering from SX, interpreters, rounding bounds."""

@@ -1,0 +1,1 @@
+"""Program -> Program: the passes, in the order that works, legality checked around each."""

@@ -1,0 +1,50 @@
+"""What the pipeline leaves behind: a folder of C, and what can be done with it."""
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servogen.plan.module import Module
+from servogen.render.render import SourceFile
+from servogen.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from servogen.twins.compiled import CompiledSolver, CompiledTwin
+
+
+@dataclass(frozen=True, eq=False)
+class Package:
+    """A generated package: `path` is its folder, `manifest` what manifest.json says."""
+
+    path: Path
+    manifest: dict[str, Any]
+    module: Module = field(repr=False)
+    scene: Scene | None = field(default=None, repr=False)
+    _keep: Any = field(default=None, repr=False)  # a temporary folder lives as long as its package
+
+    @property
+    def prefix(self) -> str:
+        return self.module.target.prefix
+
+    def load(self, compiler: str | None = None, flags: Sequence[str] = ("-O2",)) -> "CompiledTwin | CompiledSolver":
+        """Compile the C on this machine and load it. compiler: default $CC, else cc."""
+        from servogen.twins.compiled import load_package
+
+        return load_package(self, compiler, tuple(flags))
+
+
+def write(files: Sequence[SourceFile], out: str | Path | None, module: Module, scene: Scene | None) -> Package:
+    """Write the files to a folder (made if need be; None: a temporary one)."""
+    keep = None
+    if out is None:
+        keep = tempfile.TemporaryDirectory(prefix="servogen-")
+        out = keep.name
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    for f in files:
+        (folder / f.name).write_text(f.text, encoding="utf-8", newline="\n")
+    manifest = json.loads(next(f.text for f in files if f.name == "manifest.json"))
+    return Package(folder, manifest, module, scene, keep)

@@ -1,0 +1,122 @@
+"""What the planner decides and the printer prints: every name, shape, literal and statement order of one package."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from servogen.ir.program import Program
+from servogen.plan.solver import SolverPlan
+from servogen.scene.solver import Scalar
+
+
+@dataclass(frozen=True)
+class Target:
+    """The number type of the C, and the prefix of its names."""
+
+    scalar: Scalar
+    prefix: str
+
+    @property
+    def real(self) -> str:
+        return "double" if self.scalar == "float64" else "float"
+
+
+@dataclass(frozen=True)
+class StructField:
+    """One member of a C struct; `default` is given for parameters and references."""
+
+    name: str
+    size: int
+    unit: str = ""
+    text: str = ""
+    default: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """One output of an entry point: a row-major matrix with the equation it comes from."""
+
+    name: str
+    rows: int
+    columns: int
+    equation: str
+    formula: str
+
+    @property
+    def size(self) -> int:
+        return self.rows * self.columns
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Straight-line code: (model, inputs) -> results, cut from the scene's one program.
+
+    `guards` is the number of pivots of Q that it hands to its caller for the test of SINGULAR_MASS.
+    """
+
+    name: str
+    program: Program
+    results: tuple[Result, ...]
+    guards: int = 0
+
+
+@dataclass(frozen=True)
+class EntryPoint:
+    """A public function that evaluates one kernel and hands out its results."""
+
+    name: str
+    kernel: Kernel
+
+
+@dataclass(frozen=True)
+class ControlPlan:
+    """control, and for controls-involved scenes project and step.
+
+    system: the names of the matrix and the right side in `kernel`; y: None, "expression" (from the kernel) or "input".
+    projection: the kernel of phi and A where project and step are asked for; affine: one iteration is exact.
+    """
+
+    kernel: Kernel
+    system: tuple[str, str]
+    y: str | None
+    projection: Kernel | None = None
+    projection_cap: int = 0
+
+
+@dataclass(frozen=True)
+class Prepare:
+    """What depends on parameters alone: model fields by `program`, and the pivots of Q that can be judged already."""
+
+    program: Program
+    guards: int = 0
+
+
+@dataclass(frozen=True)
+class Module:
+    """One package of C, ready to print."""
+
+    scene: str
+    target: Target
+    scene_hash: str
+    parameters: tuple[StructField, ...]
+    model: tuple[StructField, ...]
+    inputs: tuple[StructField, ...]
+    prepare: Prepare
+    kernels: tuple[Kernel, ...]
+    entry_points: tuple[EntryPoint, ...]
+    control: ControlPlan | None
+    solver: SolverPlan | None
+    mass_tolerance: float
+    skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def needs_libm(self) -> bool:
+        """Whether anything of <math.h> is called."""
+        from servogen.ir.ops import OPS
+
+        programs: list[Program] = [self.prepare.program, *(k.program for k in self.kernels)]
+        called = any(i.op in OPS and OPS[i.op].needs_libm for p in programs for i in p.instrs)
+        return called or self.solver is not None
+
+    def context(self) -> dict[str, Any]:
+        """What the templates call by name."""
+        return {"module": self, "p": self.target.prefix, "P": self.target.prefix.upper(), "real": self.target.real}

@@ -1,0 +1,272 @@
+"""The plan of one pseudo-inverse: every number and choice the C templates print (NUMERICS: the ladder, tolerances).
+
+Three kinds, by shape: "row" (m = 1) and "column" (l = 1) are closed forms; "svd" is a one-sided Jacobi SVD.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.results import STATUS_MEANING, Path, Status
+from servogen.scene.solver import EPSILON, Scalar, Solver
+
+Kind = Literal["row", "column", "svd"]
+Operations = dict[str, int]
+
+LARGEST = 12
+"""Shapes run from 1 x 1 to LARGEST x LARGEST."""
+
+SWEEP_CAPS = ((2, 5), (3, 7), (6, 10), (12, 12))
+"""(min(m, l) up to, sweeps): at least two above the worst ever measured; NOT_CONVERGED stands behind them."""
+
+CONSISTENCY = 8
+"""A row is met when its residual is below CONSISTENCY max(m, l) u (|S_i| (|tau| + |y|) + |z_i|): a backward error."""
+
+PATH_MEANING: dict[Path, str] = {
+    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made by prepare",
+    Path.CLOSED_FORM: "one row or one column",
+    Path.NORMAL: "normal equations, certified and refined",
+    Path.QR: "pivoted QR, certified and refined",
+    Path.SVD: "singular value decomposition",
+}
+
+
+class Bits(NamedTuple):
+    """The layout of a scalar type, as C text where C needs text; templates read it by name."""
+
+    uint: str  # unsigned integer of the same size
+    mantissa: int  # bits of the fraction
+    bias: int
+    magnitude: str  # mask of everything but the sign
+    infinity: str  # bits of +infinity: magnitudes at or above it are not finite
+    smallest_normal: str  # bits of the smallest normal number
+    highest: int  # largest k for which 2^k is finite
+    lowest: int  # smallest k for which 2^k is normal
+    lift: int  # 2^lift makes every subnormal normal
+    none: int  # stands for the exponent of zero: below all exponents and sums of two
+
+
+BITS: dict[str, Bits] = {
+    "float64": Bits(
+        "uint64_t",
+        52,
+        1023,
+        "UINT64_C(0x7fffffffffffffff)",
+        "UINT64_C(0x7ff0000000000000)",
+        "UINT64_C(0x0010000000000000)",
+        1023,
+        -1022,
+        64,
+        -16384,
+    ),
+    "float32": Bits(
+        "uint32_t",
+        23,
+        127,
+        "UINT32_C(0x7fffffff)",
+        "UINT32_C(0x7f800000)",
+        "UINT32_C(0x00800000)",
+        127,
+        -126,
+        32,
+        -16384,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class RowRange:
+    """Where the unscaled closed form of a row is safe, and gives the same bits as the scaled one.
+
+    Biased exponents, both ends included: of s s^T and of z - s y. Outside (and at NaN, infinity, zero, atol and
+    damping, which all fall outside) the scaled form takes over.
+    """
+
+    square_low: int
+    square_high: int
+    task_low: int
+    task_high: int
+
+
+@dataclass(frozen=True)
+class SolverPlan:
+    """One pseudo-inverse, S of m x l. All numbers are exact in `scalar`."""
+
+    m: int
+    l: int  # noqa: E741
+    scalar: Scalar
+    kind: Kind
+    rank: Literal["scaled", "raw"]
+    rtol: float  # singular values at or below rtol times the largest count as zero
+    atol: tuple[float, ...]  # per row: largest entry at or below it, and the row counts as zero
+    damping: float | None  # eps_d, of the raw S
+    epsilon: float  # u
+    sweep_cap: int  # 0 for closed forms
+    orthogonal: float  # two vectors are left alone when |v w| <= orthogonal |v| |w|
+    converged: float  # a sweep that met nothing above converged |v| |w| was the last: above the rounding of v w
+    zeta_limit: float  # beyond it zeta^2 is not needed, and may overflow
+    consistency: float  # relative residual of a row that counts as met
+    row_range: RowRange | None  # kind "row" only; None where tolerances leave no room for the short form
+
+    @property
+    def wide(self) -> bool:
+        """The vectors of the SVD are the rows (m <= l), else the columns."""
+        return self.m <= self.l
+
+    @property
+    def count(self) -> int:
+        """min(m, l), the number of singular values."""
+        return min(self.m, self.l)
+
+    @property
+    def real(self) -> str:
+        return "double" if self.scalar == "float64" else "float"
+
+    @property
+    def sqrt(self) -> str:
+        return "sqrt" if self.scalar == "float64" else "sqrtf"
+
+    @property
+    def path(self) -> Path:
+        return Path.SVD if self.kind == "svd" else Path.CLOSED_FORM
+
+    @property
+    def atol_used(self) -> bool:
+        return any(a > 0 for a in self.atol)
+
+    @property
+    def root_l(self) -> float:
+        """sqrt(l) in the target type: a row within atol has a norm below atol sqrt(l)."""
+        return _in_scalar(math.sqrt(self.l), self.scalar, "root_l")
+
+    def to_json(self) -> dict[str, Any]:
+        """For the manifest: the shape, the ladder and the tolerances."""
+        shown = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "row_range"}
+        return shown | {"atol": list(self.atol), "ladder": [self.path.name]}
+
+
+def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:  # noqa: E741
+    """The plan for S of m x l. Raises SceneError for sizes outside 1..12 and tolerances that do not fit."""
+    if not (1 <= m <= LARGEST and 1 <= l <= LARGEST):
+        raise SceneError(
+            f"S of {m} x {l}: the solver takes 1 to {LARGEST} rows and columns; "
+            f"leave out constraints, or split the mechanism into parts that do not share controls"
+        )
+    if scalar not in EPSILON:
+        raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
+    u = EPSILON[scalar]
+    kind: Kind = "row" if m == 1 else "column" if l == 1 else "svd"
+    count = min(m, l)
+    # Jacobi leaves vectors at or below u |S|_F alone: below this rtol they would be counted without being orthogonal
+    floor = math.sqrt(count) * u
+    rtol = max(m, l) * u if solver.rtol is None else max(solver.rtol, floor)
+    atol = _row_tolerances(m, solver.atol, scalar)
+    damping = None if solver.damping is None else _in_scalar(solver.damping, scalar, "damping")
+    if damping == 0.0:
+        raise SceneError(f"Solver(damping={solver.damping!r}) is zero in {scalar}: give a larger one, or None")
+    return SolverPlan(
+        m=m,
+        l=l,
+        scalar=scalar,
+        kind=kind,
+        rank=solver.rank,
+        rtol=_in_scalar(rtol, scalar, "rtol"),
+        atol=atol,
+        damping=damping,
+        epsilon=u,
+        sweep_cap=next(cap for size, cap in SWEEP_CAPS if count <= size) if kind == "svd" else 0,
+        orthogonal=_in_scalar(math.sqrt(max(m, l)) * u / 2, scalar, "orthogonal"),
+        converged=(max(m, l) + 4) * u / 2,
+        zeta_limit=_in_scalar(1 / math.sqrt(u), scalar, "zeta_limit"),
+        consistency=CONSISTENCY * max(m, l) * u,
+        row_range=_row_range(l, atol[0], damping, scalar) if kind == "row" else None,
+    )
+
+
+def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name."""
+    return {
+        "p": prefix,
+        "P": prefix.upper(),
+        "real": plan.real,
+        "plan": plan,
+        "bits": BITS[plan.scalar],
+        "lit": literal,
+        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],
+        "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
+    }
+
+
+def _in_scalar(value: float, scalar: Scalar, name: str) -> float:
+    """The nearest number of the target type: both twins then compare with the same one."""
+    with np.errstate(over="ignore"):
+        nearest = float(np.float32(value)) if scalar == "float32" else float(value)
+    if not math.isfinite(nearest):
+        raise SceneError(f"Solver({name}={value!r}) is too large for {scalar}: give a smaller one")
+    return nearest
+
+
+def _row_tolerances(m: int, atol: float | Sequence[float] | None, scalar: Scalar) -> tuple[float, ...]:
+    values = (0.0,) * m if atol is None else (float(atol),) * m if isinstance(atol, int | float) else tuple(atol)
+    if len(values) != m:
+        raise SceneError(f"Solver(atol=...) has {len(values)} numbers, S has {m} rows: give one number, or one per row")
+    return tuple(_in_scalar(float(v), scalar, "atol") for v in values)
+
+
+def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> RowRange | None:  # noqa: E741
+    """Exponents chosen so that no product that matters underflows and no sum overflows.
+
+    Squares in 2^+-a and tasks in 2^+-b: then |tau - y| <= 2^(b + a/2) is below half an ulp of the largest number, and
+    products that underflow are below half an ulp of any sum they enter.
+    """
+    square, task = (200, 700) if scalar == "float64" else (30, 60)
+    low = -square
+    # max|s|^2 >= s s^T / l: above these the row is neither zero nor damped
+    for bound in (math.sqrt(l) * atol, damping or 0.0):
+        if bound > 0:
+            low = max(low, 2 * math.frexp(bound)[1] + 1)
+    if low >= square:
+        return None
+    bias = BITS[scalar].bias
+    return RowRange(low + bias, square + bias, -task + bias, task + bias)
+
+
+def _total(add: int = 0, mul: int = 0, div: int = 0, sqrt: int = 0) -> Operations:
+    return {"total": add + mul + div + sqrt, "add": add, "mul": mul, "div": div, "sqrt": sqrt}
+
+
+def _sum(*terms: tuple[int, Operations]) -> Operations:
+    return {key: sum(times * counts[key] for times, counts in terms) for key in terms[0][1]}
+
+
+def _dot(n: int) -> Operations:
+    return _total(add=n - 1, mul=n)
+
+
+def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
+    """Floating-point operations of `solve` with y, without info; exact scalings by powers of two left out.
+
+    "closed_form" for one row or column (the usual case, no damping); else "sweep" (every pair rotated) and "worst"
+    (sweep_cap sweeps of each Jacobi run that a solve can need, factors applied twice).
+    """
+    m, l, n = plan.m, plan.l, plan.count  # noqa: E741
+    if plan.kind == "row":
+        return {"closed_form": _sum((1, _dot(l)), (1, _total(add=l, mul=l)), (1, _total(div=1)), (1, _total(l, l)))}
+    residual = _total(add=m * l, mul=m * l)
+    if plan.kind == "column":  # applied twice: the second is the refinement
+        apply = _sum((1, _dot(m)), (1, _total(div=2)), (1, _total(add=1, mul=1)))
+        return {"closed_form": _sum((1, _dot(m)), (1, _total(add=4, sqrt=1)), (2, residual), (2, apply))}
+    length, companion = (l, m) if plan.wide else (m, l)
+    rotation = _sum((2, _dot(length)), (length + companion, _total(add=2, mul=4)), (1, _total(4, 6, 3, 4)))
+    sweep = _sum((n * (n - 1) // 2, _sum((1, _dot(length)), (1, _total(mul=2)), (1, rotation))))
+    apply = _sum((n, _sum((1, _dot(m)), (1, _total(div=2)), (1, _total(add=l, mul=l)))))
+    runs = 1 + (plan.rank == "scaled") + (plan.rank == "scaled" and plan.damping is not None)
+    norms = _sum((n, _sum((1, _dot(length)), (1, _total(sqrt=1)))))
+    worst = _sum(
+        (runs * plan.sweep_cap, sweep), (runs, norms), (2, apply), (2, residual), (1, _total(add=3 * l)), (n, _total(mul=1))
+    )
+    return {"sweep": sweep, "worst": worst}

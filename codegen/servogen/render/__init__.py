@@ -1,0 +1,1 @@
+"""Module -> source files: templates and a printer that decide nothing."""

@@ -1,0 +1,157 @@
+"""Module -> source files: the templates are printed with what the planner decided."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from servogen.ir.program import Program
+from servogen.plan.module import Module
+from servogen.plan.solver import solver_context, solver_operations
+from servogen.render.kernels import reads, statements
+from servogen.render.literals import literal
+from servogen.scene.names import comment_safe
+from servogen.version import VERSION
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file of a package: its name and its text."""
+
+    name: str
+    text: str
+
+
+def environment() -> Environment:
+    """Templates of servogen; a name that is not defined is an error."""
+    templates = Environment(
+        loader=PackageLoader("servogen.render", "templates"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # C, not HTML
+    )
+    templates.filters["comment"] = comment_safe
+    return templates
+
+
+def render(module: Module) -> tuple[SourceFile, ...]:
+    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene or of a solver alone."""
+    assert module.solver is not None
+    prefix = module.target.prefix
+    templates = environment()
+    context = _context(module) | solver_context(module.solver, prefix, partial(literal, scalar=module.target.scalar))
+    files = [
+        SourceFile(f"{prefix}.h", templates.get_template("package.h.j2").render(context)),
+        SourceFile(f"{prefix}.c", templates.get_template("package.c.j2").render(context)),
+        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
+    ]
+    return (*files, SourceFile("manifest.json", _manifest(module, files)))
+
+
+def cost_text(program: Program) -> str:
+    """Operation counts in words: "20 operations (9 mul, 8 add, 3 cos)"."""
+    counts = program.operations()
+    total = counts.pop("total")
+    if not total:
+        return "no operations"
+    details = ", ".join(f"{n} {op}" for op, n in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    return f"{total} operation{'s' if total > 1 else ''} ({details})"
+
+
+def _context(module: Module) -> dict[str, Any]:
+    scalar = module.target.scalar
+    kernels = module.kernels
+    return module.context() | {
+        "version": VERSION,
+        "title": f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}",
+        "math": module.needs_libm,
+        "cost": cost_text,
+        "prepare_cost": cost_text(module.prepare.program),
+        "solver_cost": _solver_cost(module),
+        "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
+        "statements": partial(statements, scalar=scalar),
+        "reads": reads,
+        "initialiser": partial(_initialiser, scalar=scalar),
+    }
+
+
+def _initialiser(values: tuple[float, ...], scalar: str) -> str:
+    """C initialiser of a struct's member: a number, or numbers in braces."""
+    numbers = ", ".join(literal(v, scalar) for v in values)
+    return numbers if len(values) == 1 else f"{{{numbers}}}"
+
+
+def _solver_cost(module: Module) -> str:
+    if module.solver is None:
+        return "none"
+    costs = solver_operations(module.solver)
+    if "closed_form" in costs:
+        return f"{costs['closed_form']['total']} operations, closed form"
+    sweeps = module.solver.sweep_cap
+    return f"at most {costs['worst']['total']} operations ({costs['sweep']['total']} a sweep, at most {sweeps} sweeps)"
+
+
+def _manifest(module: Module, files: list[SourceFile]) -> str:
+    assert module.solver is not None
+    solver = module.solver.to_json() | {"operations": solver_operations(module.solver)}
+    manifest: dict[str, Any] = {
+        "generator": f"servogen {VERSION}",
+        "scene": module.scene,
+        "scene_hash": module.scene_hash,
+        "scalar": module.target.scalar,
+        "prefix": module.target.prefix,
+        "entry_points": _entry_points(module, solver["operations"]),
+        "solver": solver,
+        "files": {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files},
+    }
+    if module.control is not None:
+        manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}
+        manifest["parameters"] = {f.name: _struct_field(f) for f in module.parameters}
+        manifest["inputs"] = {f.name: _struct_field(f) for f in module.inputs}
+    return json.dumps(manifest, indent=2) + "\n"
+
+
+def _struct_field(f: Any) -> dict[str, Any]:
+    return {"size": f.size, "default": list(f.default), "unit": f.unit, "text": f.text}
+
+
+def _entry_points(module: Module, solver_counts: dict[str, Any]) -> dict[str, Any]:
+    """Operations of each entry point; those that solve say the solver's own in "solver_operations"."""
+    points: dict[str, Any] = {}
+    for entry in module.entry_points:
+        points[entry.name] = {
+            "operations": entry.kernel.program.operations(),
+            "skipped": list(module.skipped.get(entry.name, ())),
+        }
+    nothing = {"total": 0}
+    points["pinv"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
+    if module.control is None:
+        points["solve"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
+        return points
+    control = module.control
+    points["control"] = {
+        "operations": control.kernel.program.operations(),
+        "solver_operations": solver_counts,
+        "skipped": list(module.skipped["control"]),
+    }
+    if control.projection is not None:
+        points["project"] = {
+            "operations": control.projection.program.operations(),
+            "solver_operations": solver_counts,
+            "skipped": ["iteration: phi is affine in tau"] if control.projection_cap == 1 else [],
+        }
+        points["step"] = {
+            "operations": _sum(control.kernel.program.operations(), control.projection.program.operations()),
+            "solver_operations": solver_counts,
+            "skipped": [],
+        }
+    return points
+
+
+def _sum(a: dict[str, int], b: dict[str, int]) -> dict[str, int]:
+    return {key: a.get(key, 0) + b.get(key, 0) for key in {**a, **b}}

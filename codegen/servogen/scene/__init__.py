@@ -1,0 +1,1 @@
+"""What a user writes: mechanism, constraints, parameters, references, scene."""

@@ -1,0 +1,144 @@
+"""Servo-constraints, and the stability of the dynamics the user prescribes for them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.scene.convert import column, to_sx
+
+
+def _label(name: object) -> str:
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise SceneError(f"a constraint's name must be printable text; got {name!r}")
+    return f"constraint {name!r}"
+
+
+def theta_matrix(Theta: Any, m: int, what: str) -> Any:
+    """Theta as an m x m SX: a number times I, a vector as a diagonal, or the matrix itself."""
+    sx = to_sx(Theta, what)
+    if sx.is_scalar():
+        return sx * ca.SX.eye(m)
+    if sx.shape == (m, m):
+        return sx
+    if sx.is_vector() and sx.numel() == m:
+        return ca.diag(sx)
+    raise SceneError(
+        f"{what} has shape {sx.size1()}x{sx.size2()}; give a number, a vector of {m} (the diagonal) or a {m}x{m} matrix"
+    )
+
+
+def check_hurwitz(matrix: Any, what: str) -> None:
+    """SceneError unless every eigenvalue of a numeric matrix has a negative real part."""
+    numbers = np.array(ca.DM(matrix), dtype=float)
+    eigenvalues = np.linalg.eigvals(numbers)
+    worst = float(np.max(eigenvalues.real))
+    if worst >= 0:
+        raise SceneError(
+            f"{what} is unstable: it has an eigenvalue with real part {worst:.6g}; "
+            "every eigenvalue must lie in the open left half-plane (Hurwitz)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Nonholonomic:
+    """psi(q, u, t) = 0, imposed as psi' = Theta psi, Eqs. (3)-(9).
+
+    Theta: number, vector (diagonal), m x m matrix, or SX of parameters; a numeric one must be Hurwitz.
+    """
+
+    name: str
+    psi: Any
+    Theta: Any
+
+    def __post_init__(self) -> None:
+        what = _label(self.name)
+        psi = column(self.psi, f"{what}: psi")
+        Theta = theta_matrix(self.Theta, psi.size1(), f"{what}: Theta")
+        if Theta.is_constant():
+            check_hurwitz(Theta, f"{what}: Theta")
+        object.__setattr__(self, "psi", psi)
+        object.__setattr__(self, "Theta", Theta)
+
+    @property
+    def size(self) -> int:
+        return int(self.psi.size1())
+
+
+@dataclass(frozen=True, eq=False)
+class Holonomic:
+    """psi(q, t) = 0, imposed as psi'' = Theta1 psi' + Theta2 psi, Eqs. (11)-(12).
+
+    Theta1, Theta2 as for Nonholonomic; numeric ones must make the companion [[0, I], [Theta2, Theta1]] Hurwitz.
+    """
+
+    name: str
+    psi: Any
+    Theta1: Any
+    Theta2: Any
+
+    def __post_init__(self) -> None:
+        what = _label(self.name)
+        psi = column(self.psi, f"{what}: psi")
+        m = psi.size1()
+        Theta1 = theta_matrix(self.Theta1, m, f"{what}: Theta1")
+        Theta2 = theta_matrix(self.Theta2, m, f"{what}: Theta2")
+        if Theta1.is_constant() and Theta2.is_constant():
+            check_hurwitz(
+                companion(Theta1, Theta2), f"{what}: the companion [[0, I], [Theta2, Theta1]] of Theta1 and Theta2"
+            )
+        object.__setattr__(self, "psi", psi)
+        object.__setattr__(self, "Theta1", Theta1)
+        object.__setattr__(self, "Theta2", Theta2)
+
+    @property
+    def size(self) -> int:
+        return int(self.psi.size1())
+
+
+def companion(Theta1: Any, Theta2: Any) -> Any:
+    """[[0, I], [Theta2, Theta1]], whose eigenvalues are those of psi'' = Theta1 psi' + Theta2 psi."""
+    m = Theta1.size1()
+    return ca.vertcat(ca.horzcat(ca.SX(m, m), ca.SX.eye(m)), ca.horzcat(Theta2, Theta1))
+
+
+@dataclass(frozen=True, eq=False)
+class ControlsInvolved:
+    """phi(q, u, tau, t) = 0, realised by A tau' = B, Eqs. (36)-(41), with Theta phi added to B.
+
+    Theta = 0 (the default) keeps phi where it is; a numeric one must otherwise be Hurwitz.
+    """
+
+    name: str
+    phi: Any
+    Theta: Any = 0
+
+    def __post_init__(self) -> None:
+        what = _label(self.name)
+        phi = column(self.phi, f"{what}: phi")
+        Theta = theta_matrix(self.Theta, phi.size1(), f"{what}: Theta")
+        if Theta.is_constant() and not Theta.is_zero():
+            check_hurwitz(Theta, f"{what}: Theta (0 would be allowed, too)")
+        object.__setattr__(self, "phi", phi)
+        object.__setattr__(self, "Theta", Theta)
+
+    @property
+    def size(self) -> int:
+        return int(self.phi.size1())
+
+
+Constraint = Nonholonomic | Holonomic | ControlsInvolved
+
+
+def expression_of(constraint: Constraint) -> Any:
+    """psi or phi."""
+    return constraint.phi if isinstance(constraint, ControlsInvolved) else constraint.psi
+
+
+def theta_parts(constraint: Constraint) -> dict[str, Any]:
+    """The Theta matrices of a constraint by name."""
+    if isinstance(constraint, Holonomic):
+        return {"Theta1": constraint.Theta1, "Theta2": constraint.Theta2}
+    return {"Theta": constraint.Theta}

@@ -1,0 +1,81 @@
+"""States to check a scene at: drawn from its domain, and the boundary ones."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.results import FloatArray
+from servogen.scene.scene import Scene, State
+
+# Where the user states no range: an angle's period, and magnitudes of one.
+_DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
+
+
+def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
+    """`count` states from the scene's domain: name -> array (count, size), for every input the scene may have."""
+    generator = np.random.default_rng(seed)
+    if callable(scene.domain):
+        return _draw_by_user(scene, scene.domain, count, generator)
+    ranges: dict[str, tuple[Any, Any]] = dict(scene.domain or {})
+    states: State = {}
+    for f in scene.input_fields():
+        lo, hi = ranges.get(f.name, _around_default(f.name, f.default))
+        unit = generator.random((count, f.size))
+        states[f.name] = (
+            np.asarray(lo, dtype=float) + (np.asarray(hi, dtype=float) - np.asarray(lo, dtype=float)) * unit
+        )
+    return states
+
+
+def _around_default(name: str, default: tuple[float, ...]) -> tuple[Any, Any]:
+    if name in _DEFAULT_RANGE:
+        return _DEFAULT_RANGE[name]
+    centre = np.array(default)
+    return centre - 1.0, centre + 1.0
+
+
+def _draw_by_user(scene: Scene, draw: Any, count: int, generator: np.random.Generator) -> State:
+    fields = scene.input_fields()
+    rows: dict[str, list[FloatArray]] = {f.name: [] for f in fields}
+    for _ in range(count):
+        state = dict(draw(generator))
+        for f in fields:
+            value = np.atleast_1d(np.asarray(state.pop(f.name, f.default), dtype=float)).ravel()
+            if value.shape != (f.size,):
+                raise SceneError(f"domain: the drawn {f.name!r} has {value.size} entries; it must have {f.size}")
+            rows[f.name].append(value)
+        if state:
+            raise SceneError(f"domain: {next(iter(state))!r} was drawn but is no input of scene {scene.name!r}")
+    return {name: np.array(values).reshape(count, -1) for name, values in rows.items()}
+
+
+def boundary_states(scene: Scene) -> tuple[tuple[str, State], ...]:
+    """Named states, each with arrays (1, size): rest, all zero, tiny, huge, quarter turns, NaN and infinities."""
+    base = {name: values[0] for name, values in draw_states(scene, 1, seed=1).items()}
+    fields = scene.input_fields()
+    named: list[tuple[str, dict[str, FloatArray]]] = []
+
+    def add(name: str, **changes: FloatArray) -> None:
+        named.append((name, base | changes))
+
+    if "u" in base:
+        add("rest", u=np.zeros_like(base["u"]))
+        for exponent in (-8, -20, -160):
+            add(f"nearly at rest, u times 1e{exponent}", u=base["u"] * 10.0**exponent)
+    named.append(("all inputs zero", {f.name: np.zeros(f.size) for f in fields}))
+    named.append(("all inputs minus zero", {f.name: np.full(f.size, -0.0) for f in fields}))
+    for turns in (0.5, 1.0, -0.5):
+        add(f"q at {turns} pi", q=np.full_like(base["q"], turns * math.pi))
+    for exponent in (-30, 6, 15):
+        named.append((f"all inputs times 1e{exponent}", {n: v * 10.0**exponent for n, v in base.items()}))
+    for magnitude in (1e30, 1e300):
+        add(f"u of {magnitude:g}", u=np.full_like(base["u"], magnitude))
+    for f in fields:
+        for value in (math.nan, math.inf, -math.inf):
+            for k in range(f.size):
+                bad = base[f.name].copy()
+                bad[k] = value
+                named.append((f"{f.name}[{k}] = {value}", base | {f.name: bad}))
+    return tuple((name, {k: v.reshape(1, -1) for k, v in state.items()}) for name, state in named)

@@ -1,0 +1,65 @@
+"""The mechanical model (1)-(2): q' = C u + D, Q u' = P + G tau."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from servogen.errors import SceneError
+from servogen.scene.convert import column, matrix, symbols
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A model in first-order form, Bajodah, Hodges and Chen (2004), Eqs. (1)-(2).
+
+    q: n_q configuration parameters, u: n_u velocity parameters, tau: l controls, t: time, all SX symbols.
+    Q: n_u x n_u of q, t. P: n_u of q, u, t. G: n_u x l of q, u, t (l may exceed n_u).
+    C: n_q x n_u of q, t, identity if absent. D: n_q of q, t, zero if absent.
+    Entries may be SX or numbers, and may hold parameters. SceneError for wrong shapes and kinds.
+    """
+
+    q: Any
+    u: Any
+    tau: Any
+    Q: Any
+    P: Any
+    G: Any
+    C: Any = None
+    D: Any = None
+    t: Any = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        for name in ("q", "u", "tau"):
+            put(name, symbols(getattr(self, name), name))
+        if self.t is not None:
+            put("t", symbols(self.t, "t"))
+            if self.t.size1() != 1:
+                raise SceneError(f"t has {self.t.size1()} entries; time is one SX symbol")
+        n_q, n_u, n_tau = self.q.size1(), self.u.size1(), self.tau.size1()
+        put("Q", matrix(self.Q, "Q", n_u, n_u, "one row and column per velocity parameter"))
+        put("P", column(self.P, "P", n_u))
+        put("G", matrix(self.G, "G", n_u, n_tau, "one row per velocity parameter, one column per control"))
+        if self.C is not None:
+            put("C", matrix(self.C, "C", n_q, n_u, "one row per configuration, one column per velocity parameter"))
+        elif n_q != n_u:
+            raise SceneError(f"q has {n_q} entries and u has {n_u}; give C ({n_q}x{n_u}), for q' = C u + D")
+        if self.D is not None:
+            put("D", column(self.D, "D", n_q))
+        for name in ("C", "D", "Q"):
+            expression = getattr(self, name)
+            if expression is not None and ca.depends_on(expression, self.u):
+                raise SceneError(f"{name} depends on u; {name} is a function of q and t only, Eqs. (1)-(2)")
+        for name in ("C", "D", "Q", "P", "G"):
+            expression = getattr(self, name)
+            if expression is not None and ca.depends_on(expression, self.tau):
+                raise SceneError(f"{name} depends on tau; the controls enter the model through G tau only, Eq. (2)")
+
+    @property
+    def q_dot(self) -> Any:
+        """q' = C u + D, Eq. (1)."""
+        rate = self.u if self.C is None else ca.mtimes(self.C, self.u)
+        return rate if self.D is None else rate + self.D

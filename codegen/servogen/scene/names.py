@@ -1,0 +1,57 @@
+"""Names that reach the generated C: identifiers, and what they must not be."""
+
+import re
+
+from servogen.errors import SceneError
+
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+
+C_KEYWORDS = frozenset(
+    ["auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "alignas", "alignof", "atomic", "bool", "complex", "false", "generic", "imaginary", "noreturn", "nullptr", "static_assert", "thread_local", "true", "typeof", "typeof_unqual"]
+)
+
+CXX_KEYWORDS = frozenset(
+    ["and", "and_eq", "asm", "bitand", "bitor", "catch", "char8_t", "char16_t", "char32_t", "class", "compl", "concept", "const_cast", "consteval", "constexpr", "constinit", "co_await", "co_return", "co_yield", "decltype", "delete", "dynamic_cast", "explicit", "export", "friend", "mutable", "namespace", "new", "noexcept", "not", "not_eq", "operator", "or", "or_eq", "private", "protected", "public", "reinterpret_cast", "requires", "static_cast", "template", "this", "throw", "try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq"]
+)
+
+# Object-like macros of the standard headers and of common compilers, and function-like ones of <math.h>.
+STANDARD_MACROS = frozenset(
+    ["I", "NULL", "EOF", "NAN", "INFINITY", "HUGE_VAL", "HUGE_VALF", "HUGE_VALL", "MATH_ERRNO", "MATH_ERREXCEPT", "math_errhandling", "errno", "assert", "NDEBUG", "EDOM", "ERANGE", "EILSEQ", "CHAR_BIT", "INT_MAX", "INT_MIN", "UINT_MAX", "LONG_MAX", "LONG_MIN", "SIZE_MAX", "DBL_EPSILON", "DBL_MAX", "DBL_MIN", "FLT_EPSILON", "FLT_MAX", "FLT_MIN", "FLT_RADIX", "M_E", "M_LOG2E", "M_LOG10E", "M_LN2", "M_LN10", "M_PI", "M_PI_2", "M_PI_4", "M_1_PI", "M_2_PI", "M_2_SQRTPI", "M_SQRT2", "M_SQRT1_2", "DOMAIN", "SING", "OVERFLOW", "UNDERFLOW", "PLOSS", "TLOSS", "MAXFLOAT", "FP_NAN", "FP_INFINITE", "FP_ZERO", "FP_SUBNORMAL", "FP_NORMAL", "FP_ILOGB0", "FP_ILOGBNAN", "fpclassify", "isfinite", "isinf", "isnan", "isnormal", "signbit", "isgreater", "isgreaterequal", "isless", "islessequal", "islessgreater", "isunordered", "stdin", "stdout", "stderr", "BUFSIZ", "EXIT_FAILURE", "EXIT_SUCCESS", "RAND_MAX", "SIGINT", "offsetof", "va_arg", "va_start", "va_end", "unix", "linux", "i386", "near", "far", "min", "max"]
+)
+
+# Keywords of the Python twins, and the names the inputs of every scene have.
+INPUT_NAMES = ("q", "u", "t", "tau", "y")
+CALL_NAMES = frozenset({"dt", "last", "self"})
+
+
+def check_identifier(name: str, what: str) -> str:
+    """Return `name` if it can stand in C, in C++ and in a call of a twin; SceneError otherwise."""
+    if not isinstance(name, str) or not _IDENTIFIER.match(name):
+        raise SceneError(
+            f"{what} {name!r} is not a C identifier; use letters, digits and underscores, not starting with a digit"
+        )
+    for kind, words in (
+        ("a C keyword", C_KEYWORDS),
+        ("a C++ keyword", CXX_KEYWORDS),
+        ("a standard macro", STANDARD_MACROS),
+    ):
+        if name in words:
+            raise SceneError(f"{what} {name!r} is {kind}; choose another name")
+    if name.startswith("__") or re.match(r"_[A-Z]", name):
+        raise SceneError(f"{what} {name!r} is reserved for the C implementation; drop the leading underscore")
+    return name
+
+
+def check_field_name(name: str, what: str) -> str:
+    """As `check_identifier`, and free to be a field beside the inputs q, u, t, tau and y."""
+    check_identifier(name, what)
+    if name in INPUT_NAMES:
+        raise SceneError(f"{what} {name!r} collides with the input {name}; choose another name")
+    if name in CALL_NAMES:
+        raise SceneError(f"{what} {name!r} collides with a keyword of the controller's calls; choose another name")
+    return name
+
+
+def comment_safe(text: str) -> str:
+    """`text` on one line, and unable to end the C comment it is put in."""
+    return " ".join(str(text).split()).replace("*/", "* /").replace("/*", "/ *")

@@ -1,0 +1,274 @@
+"""One controller: a mechanism, its servo-constraints, and what the solver is asked for."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.ir.ops import unsupported_operations
+from servogen.results import FloatArray
+from servogen.scene.constraints import (
+    Constraint,
+    ControlsInvolved,
+    Holonomic,
+    Nonholonomic,
+    check_hurwitz,
+    companion,
+    expression_of,
+    theta_parts,
+)
+from servogen.scene.convert import column
+from servogen.scene.mechanism import Mechanism
+from servogen.scene.names import check_identifier
+from servogen.scene.solver import Solver
+from servogen.scene.symbols import Field, Parameters, References
+
+State = dict[str, FloatArray]
+Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
+
+    constraints: Nonholonomic and Holonomic ones, or ControlsInvolved ones; rows stack in the order given.
+    y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
+    weight: reserved for the weighted minimum; mode: "servo" (Eq. 10).
+    domain: ranges {"q": (lo, hi), ...} or a callable taking a numpy Generator and returning one state;
+        every check draws its states from it.
+    """
+
+    name: str
+    mechanism: Mechanism
+    constraints: Sequence[Constraint]
+    parameters: Parameters | None = None
+    references: References | None = None
+    y: Any = None
+    weight: Any = None
+    mode: Literal["servo", "ideal"] = "servo"
+    domain: Domain | None = None
+    solver: Solver = field(default_factory=Solver)
+
+    def __post_init__(self) -> None:
+        check_identifier(self.name, "scene")
+        if not isinstance(self.mechanism, Mechanism):
+            raise SceneError(f"scene {self.name!r}: give an sg.Mechanism; got {type(self.mechanism).__name__}")
+        given = self.constraints
+        if isinstance(given, Nonholonomic | Holonomic | ControlsInvolved):
+            given = (given,)
+        object.__setattr__(self, "constraints", tuple(given))
+        object.__setattr__(self, "parameters", self.parameters or Parameters())
+        object.__setattr__(self, "references", self.references or References())
+        if self.y is not None and not (isinstance(self.y, str) and self.y == "input"):
+            if isinstance(self.y, str):
+                raise SceneError(f"y={self.y!r}; give None, an SX expression of the inputs, or 'input'")
+            object.__setattr__(self, "y", column(self.y, "y", self.controls))
+        _check_unbuilt(self)
+        _check_kinds(self)
+        _check_names(self)
+        _check_symbols(self)
+        _check_operations(self)
+        _check_theta_of_parameters(self)
+        _check_domain(self)
+        if self.rows > self.controls:
+            names = ", ".join(repr(c.name) for c in self.constraints)
+            warnings.warn(
+                f"scene {self.name!r}: {self.rows} rows of constraints ({names}) for {self.controls} controls can "
+                "never be independent; the answer will be the least-squares one",
+                stacklevel=3,
+            )
+
+    @property
+    def kind(self) -> Literal["servo", "controls"]:
+        """Servo-constraints (S tau = z) or controls-involved ones (A tau' = B)."""
+        return "controls" if isinstance(self.constraints[0], ControlsInvolved) else "servo"
+
+    @property
+    def rows(self) -> int:
+        """m, the number of constraint rows."""
+        return sum(c.size for c in self.constraints)
+
+    @property
+    def controls(self) -> int:
+        """l, the number of controls."""
+        return int(self.mechanism.tau.size1())
+
+    def input_fields(self) -> tuple[Field, ...]:
+        """Every input the scene may have, in the order of the generated struct: q, u, t, tau, y, the references."""
+        mech = self.mechanism
+        fields = [_state_field("q", mech.q), _state_field("u", mech.u)]
+        if mech.t is not None:
+            fields.append(_state_field("t", mech.t))
+        if self.kind == "controls":
+            fields.append(_state_field("tau", mech.tau))
+        if isinstance(self.y, str):
+            fields.append(_state_field("y", self.y_symbol))
+        assert self.references is not None
+        return (*fields, *self.references)
+
+    @property
+    def y_symbol(self) -> Any:
+        """The symbol that stands for y where it is an input; one per scene, so that expressions can share it."""
+        cached = self.__dict__.get("_y_symbol")
+        if cached is None:
+            cached = ca.SX.sym("y", self.controls)
+            object.__setattr__(self, "_y_symbol", cached)
+        return cached
+
+
+def _state_field(name: str, symbol: Any) -> Field:
+    elements = [e.name() for e in symbol.nonzeros()]
+    return Field(name, symbol, (0.0,) * symbol.size1(), "", ", ".join(elements))
+
+
+def _parts(scene: Scene) -> dict[str, Any]:
+    """Every expression of the scene by the words an error names it with."""
+    mech = scene.mechanism
+    parts = {name: getattr(mech, name) for name in ("Q", "P", "G", "C", "D") if getattr(mech, name) is not None}
+    for c in scene.constraints:
+        symbol = "phi" if isinstance(c, ControlsInvolved) else "psi"
+        parts[f"constraint {c.name!r}: {symbol}"] = expression_of(c)
+        for name, theta in theta_parts(c).items():
+            parts[f"constraint {c.name!r}: {name}"] = theta
+    if isinstance(scene.y, ca.SX):
+        parts["y"] = scene.y
+    return parts
+
+
+def _check_unbuilt(scene: Scene) -> None:
+    if scene.mode not in ("servo", "ideal"):
+        raise SceneError(f"scene {scene.name!r}: mode={scene.mode!r}; choose 'servo' or 'ideal'")
+    if scene.mode == "ideal":
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' (Eqs. 13-17) is not built yet; use mode='servo' with a y of your choice"
+        )
+    if scene.weight is not None:
+        raise SceneError(f"scene {scene.name!r}: weight is not built yet; scale tau in G so that the weight is I")
+
+
+def _check_kinds(scene: Scene) -> None:
+    if not scene.constraints:
+        raise SceneError(f"scene {scene.name!r} has no constraints; give at least one")
+    for c in scene.constraints:
+        if not isinstance(c, Nonholonomic | Holonomic | ControlsInvolved):
+            raise SceneError(
+                f"scene {scene.name!r}: {type(c).__name__} is no servo-constraint; "
+                "give sg.Nonholonomic, sg.Holonomic or sg.ControlsInvolved"
+            )
+    involved = [c.name for c in scene.constraints if isinstance(c, ControlsInvolved)]
+    if involved and len(involved) < len(scene.constraints):
+        other = next(c.name for c in scene.constraints if c.name not in involved)
+        raise SceneError(
+            f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
+            "make two scenes of them: the first gives tau', the second tau"
+        )
+    names = [c.name for c in scene.constraints]
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"scene {scene.name!r} has two constraints named {name!r}; rename one")
+    mech = scene.mechanism
+    for c in scene.constraints:
+        what, expression = f"constraint {c.name!r}", expression_of(c)
+        if isinstance(c, Holonomic) and ca.depends_on(expression, mech.u):
+            raise SceneError(f"{what}: a holonomic psi is a function of q and t only, but it depends on u; "
+                             "use sg.Nonholonomic for psi(q, u, t)")  # fmt: skip
+        if isinstance(c, ControlsInvolved):
+            if not ca.depends_on(expression, mech.tau):
+                raise SceneError(f"{what}: tau is missing from phi; use sg.Nonholonomic for psi(q, u, t)")
+        elif ca.depends_on(expression, mech.tau):
+            raise SceneError(f"{what}: psi depends on tau; use sg.ControlsInvolved for phi(q, u, tau, t)")
+    if scene.kind == "servo" and isinstance(scene.y, ca.SX) and ca.depends_on(scene.y, mech.tau):
+        raise SceneError("y depends on tau, which a servo scene solves for; make y a function of the inputs")
+    assert scene.parameters is not None
+    parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
+    for c in scene.constraints:
+        for name, theta in theta_parts(c).items():
+            for symbol in ca.symvar(theta):
+                if not _among(symbol, parameters):
+                    raise SceneError(
+                        f"constraint {c.name!r}: {name} holds {symbol.name()!r}, which is not a parameter; "
+                        "make it of numbers and sg.Parameters"
+                    )
+
+
+def _among(symbol: Any, symbols: Any) -> bool:
+    return any(symbol.__hash__() == s.__hash__() for s in symbols.nonzeros())
+
+
+def _check_names(scene: Scene) -> None:
+    assert scene.parameters is not None
+    assert scene.references is not None
+    references = {f.name for f in scene.references}
+    for f in scene.parameters:
+        if f.name in references:
+            raise SceneError(f"parameter {f.name!r} collides with the reference of that name; rename one")
+
+
+def _check_symbols(scene: Scene) -> None:
+    assert scene.parameters is not None
+    mech = scene.mechanism
+    owners: dict[int, str] = {}
+    named = [("q", mech.q), ("u", mech.u), ("tau", mech.tau)] + ([("t", mech.t)] if mech.t is not None else [])
+    for owner, symbols in named:
+        for s in symbols.nonzeros():
+            if s.__hash__() in owners:
+                raise SceneError(f"symbol {s.name()!r} stands in both {owners[s.__hash__()]} and {owner}; use two")
+            owners[s.__hash__()] = owner
+    known = ca.vertcat(mech.tau, *(f.symbol for f in scene.input_fields()), *(f.symbol for f in scene.parameters))
+    known_ids = {s.__hash__() for s in known.nonzeros()}
+    for what, expression in _parts(scene).items():
+        for symbol in ca.symvar(expression):
+            if symbol.__hash__() not in known_ids:
+                raise SceneError(
+                    f"{what} holds the symbol {symbol.name()!r}, which is not an input of scene {scene.name!r}; "
+                    "put it among q, u, tau, t, the parameters or the references"
+                )
+
+
+def _check_operations(scene: Scene) -> None:
+    for what, expression in _parts(scene).items():
+        for name, casadi_id in unsupported_operations(expression):
+            raise SceneError(
+                f"{what}: operation {name} (CasADi id {casadi_id}) is not supported; "
+                "express it by supported ones, or add a row to ir/ops.py"
+            )
+
+
+def _check_theta_of_parameters(scene: Scene) -> None:
+    """A Theta of parameters can only be judged at their defaults: warn there."""
+    assert scene.parameters is not None
+    symbols = [f.symbol for f in scene.parameters]
+    defaults = [ca.DM(f.default) for f in scene.parameters]
+    for c in scene.constraints:
+        parts = theta_parts(c)
+        if all(theta.is_constant() for theta in parts.values()):
+            continue
+        matrix = companion(**parts) if isinstance(c, Holonomic) else parts["Theta"]
+        value = ca.Function("theta", symbols, [matrix])(*defaults)
+        if isinstance(c, ControlsInvolved) and value.is_zero():
+            continue
+        try:
+            check_hurwitz(value, f"constraint {c.name!r}: {' and '.join(parts)} at the parameters' defaults")
+        except SceneError as unstable:
+            warnings.warn(str(unstable), stacklevel=5)
+
+
+def _check_domain(scene: Scene) -> None:
+    if scene.domain is None or callable(scene.domain):
+        return
+    sizes = {f.name: f.size for f in scene.input_fields()} | {"tau": scene.controls, "t": 1}
+    for name, limits in scene.domain.items():
+        if name not in sizes:
+            raise SceneError(f"domain: {name!r} is no input of scene {scene.name!r}; there are {', '.join(sizes)}")
+        try:
+            lo, hi = (np.broadcast_to(np.asarray(b, dtype=float), (sizes[name],)) for b in limits)
+        except (TypeError, ValueError):
+            raise SceneError(
+                f"domain[{name!r}] = {limits!r}; give (lo, hi), each a number or a list of {sizes[name]}"
+            ) from None
+        if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi)) and np.all(lo <= hi)):
+            raise SceneError(f"domain[{name!r}] = {limits!r}; the ends must be finite and lo <= hi")

@@ -1,0 +1,47 @@
+"""What the user may say about the pseudo-inverse (NUMERICS: ladder and tolerances)."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from servogen.errors import SceneError
+
+Scalar = Literal["float64", "float32"]
+
+EPSILON: dict[str, float] = {"float64": 2.0**-52, "float32": 2.0**-23}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How S+ is computed.
+
+    method: "auto" takes the cheapest step that is proven safe, "svd" goes straight to the SVD.
+    rank: "scaled" decides the rank on S with its rows scaled by powers of two, so that a constraint's unit does not
+        matter; "raw" on S itself, as numpy, scipy and MATLAB do.
+    rtol: singular values at or below rtol times the largest count as zero; default max(m, l) * eps.
+    atol: rows whose largest entry is at or below atol count as zero; a number, or one per row; default 0.
+    damping: eps_d; singular values of the raw S below it are damped, exactly none above; default none.
+    """
+
+    method: Literal["auto", "svd"] = "auto"
+    rank: Literal["scaled", "raw"] = "scaled"
+    rtol: float | None = None
+    atol: float | Sequence[float] | None = None
+    damping: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in ("auto", "svd"):
+            raise SceneError(f"Solver(method={self.method!r}): choose 'auto' or 'svd'")
+        if self.rank not in ("scaled", "raw"):
+            raise SceneError(f"Solver(rank={self.rank!r}): choose 'scaled' or 'raw'")
+        if self.rtol is not None and not (math.isfinite(self.rtol) and 0 <= self.rtol < 1):
+            raise SceneError(f"Solver(rtol={self.rtol!r}): give a number from 0 up to but not including 1")
+        if self.damping is not None and not (math.isfinite(self.damping) and self.damping > 0):
+            raise SceneError(f"Solver(damping={self.damping!r}): give a positive number, or None for no damping")
+        if self.atol is not None:
+            values = (self.atol,) if isinstance(self.atol, int | float) else tuple(self.atol)
+            if not all(math.isfinite(v) and v >= 0 for v in values):
+                raise SceneError(f"Solver(atol={self.atol!r}): give finite numbers, zero or above")
+            if not isinstance(self.atol, int | float):
+                object.__setattr__(self, "atol", values)  # a tuple hashes and compares

@@ -1,0 +1,143 @@
+"""Runtime parameters and references: named SX symbols with defaults, units and texts."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.scene.names import check_field_name
+
+Value = float | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Default (a number, or a list for a column), unit and meaning of one runtime parameter."""
+
+    default: Value
+    unit: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Ref:
+    """Default of a set-point, and the number of its time derivatives that are inputs as well (0, 1 or 2)."""
+
+    default: Value
+    order: int = 0
+    unit: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """One named input of a scene: its symbol (a column of `size`) and its default."""
+
+    name: str
+    symbol: Any
+    default: tuple[float, ...]
+    unit: str = ""
+    text: str = ""
+
+    @property
+    def size(self) -> int:
+        return len(self.default)
+
+
+def _default(value: object, what: str) -> tuple[float, ...]:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise SceneError(f"{what}: the default {value!r} is neither a number nor a list of numbers") from None
+    if array.ndim > 1 and 1 not in array.shape:
+        raise SceneError(f"{what}: the default has shape {array.shape}; give a number or a list (a column)")
+    flat = tuple(float(x) for x in array.ravel())
+    if not flat:
+        raise SceneError(f"{what}: the default is empty; give a number or a list of numbers")
+    if not all(math.isfinite(x) for x in flat):
+        raise SceneError(f"{what}: the default {value!r} is not finite; give finite numbers")
+    return flat
+
+
+class Parameters:
+    """Runtime parameters with defaults: `Parameters(m=1.0, L=Parameter(1.2, "m", "length"), k=[1, 2, 3])`.
+
+    Each is an SX symbol as an attribute (a column where the default is a list), a field of `<prefix>_params` in C and
+    a keyword of a twin's `prepare`.
+    """
+
+    def __init__(self, **defaults: Value | Parameter) -> None:
+        self._fields: dict[str, Field] = {}
+        for name, given in defaults.items():
+            check_field_name(name, "parameter")
+            parameter = given if isinstance(given, Parameter) else Parameter(given)
+            default = _default(parameter.default, f"parameter {name!r}")
+            self._fields[name] = Field(name, ca.SX.sym(name, len(default)), default, parameter.unit, parameter.text)
+
+    def __getattr__(self, name: str) -> Any:
+        fields: dict[str, Field] = self.__dict__.get("_fields", {})
+        if name in fields:
+            return fields[name].symbol
+        raise AttributeError(f"no parameter {name!r}; there are {', '.join(fields) or 'none'}")
+
+    def __iter__(self) -> Iterator[Field]:
+        return iter(self._fields.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A set-point r with the derivatives that are inputs: `chain` is (r,), (r, r') or (r, r', r'')."""
+
+    chain: tuple[Field, ...]
+
+    @property
+    def order(self) -> int:
+        return len(self.chain) - 1
+
+
+class References:
+    """Set-points at run time: `References(E_0=0.0, r=Ref([0.3, 0.4], order=2))`.
+
+    `ref.r` and, with order 1 or 2, `ref.r_dot` and `ref.r_ddot` are SX symbols and inputs of those names.
+    A plain reference (order 0) has rate zero.
+    """
+
+    def __init__(self, **defaults: Value | Ref) -> None:
+        self._references: dict[str, Reference] = {}
+        self._fields: dict[str, Field] = {}
+        for name, given in defaults.items():
+            ref = given if isinstance(given, Ref) else Ref(given)
+            if ref.order not in (0, 1, 2):
+                raise SceneError(f"reference {name!r}: order={ref.order!r}; choose 0, 1 or 2")
+            default = _default(ref.default, f"reference {name!r}")
+            chain = []
+            for suffix, prime in zip(("", "_dot", "_ddot")[: ref.order + 1], ("", "'", "''"), strict=False):
+                full = name + suffix
+                check_field_name(full, "reference")
+                if full in self._fields:
+                    raise SceneError(f"reference {full!r} collides with another reference's derivative; rename one")
+                values = default if suffix == "" else (0.0,) * len(default)
+                unit = ref.unit if not suffix else (f"{ref.unit}/s" if suffix == "_dot" else f"{ref.unit}/s^2")
+                text = ref.text if not suffix else f"{name}{prime}"
+                field = Field(full, ca.SX.sym(full, len(default)), values, unit if ref.unit else "", text)
+                self._fields[full] = field
+                chain.append(field)
+            self._references[name] = Reference(tuple(chain))
+
+    def __getattr__(self, name: str) -> Any:
+        fields: dict[str, Field] = self.__dict__.get("_fields", {})
+        if name in fields:
+            return fields[name].symbol
+        raise AttributeError(f"no reference {name!r}; there are {', '.join(fields) or 'none'}")
+
+    def __iter__(self) -> Iterator[Field]:
+        return iter(self._fields.values())
+
+
+def chains(references: References) -> tuple[Reference, ...]:
+    """The references with their derivatives, in the order given (a function: any attribute name is the user's)."""
+    return tuple(references._references.values())

@@ -1,0 +1,1 @@
+"""The built-in scenes: one small file each, which defines `scene`."""

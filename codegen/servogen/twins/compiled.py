@@ -1,0 +1,232 @@
+"""The generated C, compiled on this machine and called through ctypes."""
+
+import ctypes as ct
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servogen.plan.module import Module, StructField
+from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.scene.scene import Scene
+from servogen.scene.solver import Scalar
+from servogen.twins.interface import ControlsTwin, ServoTwin, Twin, refusal
+from servogen.verify.tools import ToolMissing
+
+if TYPE_CHECKING:
+    from servogen.package import Package
+
+CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
+
+# One call for a stack of systems: a loop in C, so that Python's call costs nothing.
+_STACK = """
+#include "{p}.h"
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+{{
+    long k;
+    for (k = 0; k < n; ++k) {{
+        {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, tau + k * {l}, info + k);
+    }}
+}}
+void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
+{{
+    long k;
+    for (k = 0; k < n; ++k) {{
+        {p}_pinv(S + k * {ml}, S_pinv + k * {ml}, info + k);
+    }}
+}}
+"""
+
+
+def load_package(
+    package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
+) -> "CompiledTwin | CompiledSolver":
+    """Compile and load. Raises ToolMissing without a C compiler, RuntimeError with its words where it fails."""
+    module = package.module
+    if package.scene is None:
+        extra = _STACK.format(p=package.prefix, real=module.target.real, **_shape(module))
+        return CompiledSolver(module, compile_library(package, compiler, flags, extra))
+    library = compile_library(package, compiler, flags)
+    kind = CompiledServo if package.scene.kind == "servo" else CompiledControls
+    return kind(package.scene, module, library)
+
+
+def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
+    """The package's C, and `extra` C beside it, as a shared library in this process."""
+    command = compiler or os.environ.get("CC", "cc")
+    if shutil.which(command.split()[0]) is None:
+        raise ToolMissing(f"no C compiler {command!r} on this machine; install one: apt-get install gcc")
+    with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
+        library = FilePath(folder) / f"{package.prefix}.so"
+        sources = [str(package.path / f"{package.prefix}.c")]
+        if extra:
+            beside = FilePath(folder) / "extra.c"
+            beside.write_text(extra)
+            sources.append(str(beside))
+        argv = [*command.split(), *CROSS_CHECK_FLAGS, *flags, "-fPIC", "-shared", f"-I{package.path}", *sources]
+        run = subprocess.run([*argv, "-o", str(library), "-lm"], capture_output=True, text=True)
+        if run.returncode != 0:
+            raise RuntimeError(f"{command} refused {package.prefix}.c:\n{run.stderr}")
+        return ct.CDLL(str(library))
+
+
+def _shape(module: Module) -> dict[str, int]:
+    assert module.solver is not None
+    m, l = module.solver.m, module.solver.l
+    return {"m": m, "l": l, "ml": m * l}
+
+
+def _real(scalar: Scalar) -> Any:
+    return ct.c_double if scalar == "float64" else ct.c_float
+
+
+def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
+    real = _real(scalar)
+    members: list[tuple[str, Any]] = [(f.name, real * f.size if f.size > 1 else real) for f in fields]
+    return type(name, (ct.Structure,), {"_fields_": members or [("none", ct.c_char)]})
+
+
+def _info_struct(scalar: Scalar) -> Any:
+    real = _real(scalar)
+    integers = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
+    return type("info", (ct.Structure,), {"_fields_": [*integers, ("sigma_min", real), ("residual", real)]})
+
+
+def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
+    for f in fields:
+        if f.size > 1:
+            getattr(struct, f.name)[:] = [float(x) for x in values[f.name]]
+        else:
+            setattr(struct, f.name, float(values[f.name][0]))
+    return struct
+
+
+def _read_info(info: Any) -> Info:
+    return Info(
+        Status(info.status), Path(info.path), info.rank, info.sweeps, float(info.sigma_min), float(info.residual)
+    )
+
+
+class CompiledTwin(Twin):
+    """A scene's generated C behind the interface of a twin."""
+
+    def __init__(self, scene: Scene, module: Module, library: ct.CDLL) -> None:
+        self._module = module
+        self._library = library
+        scalar = module.target.scalar
+        self._params_type = _struct("params", module.parameters, scalar)
+        self._input_type = _struct("input", module.inputs, scalar)
+        self._info_type = _info_struct(scalar)
+        self._model = _struct("model", module.model, scalar)()
+        self._entries = {e.name: e for e in module.entry_points}
+        super().__init__(scene, scalar)
+
+    def _function(self, entry: str) -> Any:
+        return getattr(self._library, f"{self._module.target.prefix}_{entry}")
+
+    def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
+        params = _fill(self._params_type(), self._module.parameters, parameters)
+        return Status(self._function("prepare")(ct.byref(params), ct.byref(self._model)))
+
+    def _input(self, inputs: dict[str, FloatArray]) -> Any:
+        return _fill(self._input_type(), self._module.inputs, inputs)
+
+    def evaluate(self, entry: str, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, ...]]:
+        """Call an entry point by its C name: its status and outputs, NaN where untouched."""
+        results = self._entries[entry].kernel.results
+        outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
+        pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
+        status = Status(self._function(entry)(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
+        shaped = (o.reshape(r.rows, r.columns) if r.name in "SA" else o for o, r in zip(outputs, results, strict=True))
+        return status, tuple(shaped)
+
+    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
+        return self.evaluate(name, inputs)[1][0]
+
+    def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
+        S = np.ascontiguousarray(matrix, self.dtype)
+        inverse = np.full(matrix.T.shape, np.nan, self.dtype)
+        info = self._info_type()
+        self._function("pinv")(ct.c_void_p(S.ctypes.data), ct.c_void_p(inverse.ctypes.data), ct.byref(info))
+        return inverse, _read_info(info)
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+        value = last.copy()
+        info = self._info_type()
+        before: list[Any] = [ct.byref(self._model), ct.byref(self._input(inputs))]
+        if entry == "step":
+            before.append(_real(self.scalar)(dt))
+        self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
+        return Control(value, _read_info(info))
+
+
+class CompiledServo(CompiledTwin, ServoTwin):
+    """Compiled twin of a scene S tau = z."""
+
+
+class CompiledControls(CompiledTwin, ControlsTwin):
+    """Compiled twin of a controls-involved scene."""
+
+
+class CompiledSolver:
+    """The pseudo-inverse alone: one system, or a stack of N (then `info` holds arrays of N)."""
+
+    def __init__(self, module: Module, library: ct.CDLL) -> None:
+        assert module.solver is not None
+        self.m, self.l = module.solver.m, module.solver.l
+        self.dtype = np.dtype(module.target.scalar)
+        self._library = library
+        self._prefix = module.target.prefix
+        real = "f8" if module.target.scalar == "float64" else "f4"
+        integers = [(name, "i4") for name in ("status", "path", "rank", "sweeps")]
+        self._info_type = np.dtype([*integers, ("sigma_min", real), ("residual", real)], align=True)
+
+    def solve(self, S: Any, z: Any, y: Any = None, last: Any = None) -> tuple[FloatArray, Info]:
+        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front."""
+        S, many = self._stack(S, (self.m, self.l), "S")
+        z, _ = self._stack(z, (self.m,), "z", len(S))
+        y = None if y is None else self._stack(y, (self.l,), "y", len(S))[0]
+        tau = (
+            np.zeros((len(S), self.l), self.dtype) if last is None else self._stack(last, (self.l,), "last", len(S))[0]
+        )
+        tau = tau.copy()
+        return self._call("solve_stack", many, [S, z, y], tau)
+
+    def pinv(self, S: Any, last: Any = None) -> tuple[FloatArray, Info]:
+        """S+ of shape (l, m), or (N, l, m)."""
+        S, many = self._stack(S, (self.m, self.l), "S")
+        shape = (self.l, self.m)
+        inverse = (
+            np.zeros((len(S), *shape), self.dtype) if last is None else self._stack(last, shape, "last", len(S))[0]
+        )
+        return self._call("pinv_stack", many, [S], inverse.copy())
+
+    def _stack(
+        self, value: Any, shape: tuple[int, ...], name: str, count: int | None = None
+    ) -> tuple[FloatArray, bool]:
+        array = np.ascontiguousarray(value, self.dtype)
+        many = array.ndim == len(shape) + 1
+        stacked = array if many else array[np.newaxis]
+        if stacked.shape[1:] != shape or (count is not None and len(stacked) != count):
+            raise ValueError(f"{name} has shape {array.shape}; it must be {shape}, or a stack of them as long as S's")
+        return stacked, many
+
+    def _call(self, entry: str, many: bool, arrays: list[Any], out: FloatArray) -> tuple[FloatArray, Info]:
+        info = np.zeros(len(out), self._info_type)
+        pointers = [ct.c_void_p(None if a is None else a.ctypes.data) for a in arrays]
+        function = getattr(self._library, f"{self._prefix}_{entry}")
+        function.restype = None
+        function(ct.c_long(len(out)), *pointers, ct.c_void_p(out.ctypes.data), ct.c_void_p(info.ctypes.data))
+        if many:
+            columns: list[Any] = [info[name] for name in self._info_type.names or ()]
+            return out, Info(*columns)
+        one = info[0]
+        status = Status(int(one["status"]))
+        if status < 0:
+            return out[0], refusal(status)
+        numbers = (int(one["rank"]), int(one["sweeps"]), float(one["sigma_min"]), float(one["residual"]))
+        return out[0], Info(status, Path(int(one["path"])), *numbers)

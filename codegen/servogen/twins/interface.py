@@ -1,0 +1,141 @@
+"""What every twin of a scene offers (API: Twin), and the reading of its keywords."""
+
+import math
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.scene.scene import Scene
+from servogen.scene.solver import Scalar
+
+
+class Twin(ABC):
+    """A scene's controller. Inputs go by keyword: q, u, t, tau, y and the references, each a number or a list.
+
+    A keyword the scene knows but does not use is accepted, an unknown one is a TypeError, a missing one takes its
+    default (references) or zero. Functions that are not a scene's own (S for a controls-involved scene, say) are
+    AttributeErrors. Matrices have shape (rows, columns), vectors (rows,); NaN where the code leaves outputs untouched.
+    """
+
+    def __init__(self, scene: Scene, scalar: Scalar) -> None:
+        self.scene = scene
+        self.scalar = scalar
+        self.dtype = np.dtype(scalar)
+        self.prepare()
+
+    def prepare(self, **parameters: Any) -> Status:
+        """Set the runtime parameters; those left out take their defaults. Negative: the model is as it was."""
+        assert self.scene.parameters is not None
+        fields = {f.name: f for f in self.scene.parameters}
+        values: dict[str, FloatArray] = {}
+        for name, given in parameters.items():
+            if name not in fields:
+                raise TypeError(f"prepare: no parameter {name!r}; there are {', '.join(fields) or 'none'}")
+            values[name] = _sized(given, fields[name].size, name)
+        return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("S", "z", "psi", "A", "B", "phi"):
+            raise AttributeError(f"scene {self.scene.name!r} has no {name}: it is a {self.scene.kind} scene")
+        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+
+    def pinv(self, matrix: Any) -> tuple[FloatArray, Info]:
+        """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape, and how it was found."""
+        shape = (self.scene.rows, self.scene.controls)
+        array = np.asarray(matrix, dtype=float)
+        if array.shape != shape:
+            raise ValueError(f"pinv: the matrix has shape {array.shape}; this scene's are {shape}")
+        return self._pinv(array)
+
+    def control(self, *, last: Any = None, **inputs: Any) -> Control:
+        """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
+        return self._control("control", self.read_inputs(inputs), self._last(last))
+
+    def read_inputs(self, given: dict[str, Any]) -> dict[str, FloatArray]:
+        """Every input of the scene as an array (size,)."""
+        scene = self.scene
+        fields = {f.name: f for f in scene.input_fields()}
+        sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
+            n: f.size for n, f in fields.items()
+        }
+        values = {}
+        for name, value in given.items():
+            if name not in sizes:
+                raise TypeError(f"no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
+            values[name] = _sized(value, sizes[name], name)
+        return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+
+    def _last(self, last: Any) -> FloatArray:
+        value = np.zeros(self.scene.controls) if last is None else _sized(last, self.scene.controls, "last")
+        return value.astype(self.dtype)
+
+    @abstractmethod
+    def _prepare(self, parameters: dict[str, FloatArray]) -> Status: ...
+
+    @abstractmethod
+    def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]: ...
+
+    @abstractmethod
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control: ...
+
+    @abstractmethod
+    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray: ...
+
+
+class ServoTwin(Twin):
+    """Twin of a scene S tau = z."""
+
+    def psi(self, **inputs: Any) -> FloatArray:
+        """The constraints' values, shape (m,)."""
+        return self._evaluate("psi", self.read_inputs(inputs))
+
+    def S(self, **inputs: Any) -> FloatArray:
+        """psi_u Q^-1 G, shape (m, l), Eq. (8)."""
+        return self._evaluate("S", self.read_inputs(inputs))
+
+    def z(self, **inputs: Any) -> FloatArray:
+        """-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9)."""
+        return self._evaluate("z", self.read_inputs(inputs))
+
+
+class ControlsTwin(Twin):
+    """Twin of a controls-involved scene A tau' = B."""
+
+    def phi(self, **inputs: Any) -> FloatArray:
+        """The constraints' values, shape (m,)."""
+        return self._evaluate("phi", self.read_inputs(inputs))
+
+    def A(self, **inputs: Any) -> FloatArray:
+        """phi_tau, shape (m, l), Eq. (39)."""
+        return self._evaluate("A", self.read_inputs(inputs))
+
+    def B(self, **inputs: Any) -> FloatArray:
+        """Right side of A tau' = B, shape (m,), Eq. (40)."""
+        return self._evaluate("B", self.read_inputs(inputs))
+
+    def project(self, *, last: Any = None, **inputs: Any) -> Control:
+        """The tau nearest to the given one with phi = 0."""
+        return self._control("project", self.read_inputs(inputs), self._last(last))
+
+    def step(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
+        """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
+        return self._control("step", self.read_inputs(inputs), self._last(last), float(dt))
+
+
+def refusal(status: Status) -> Info:
+    """Info of a negative status."""
+    return Info(status, Path.PRECOMPUTED, 0, 0, 0.0, 0.0)
+
+
+def finite(values: Any) -> bool:
+    """No NaN and no infinity in any array of a mapping's values."""
+    return all(math.isfinite(x) for v in values for x in np.ravel(v))
+
+
+def _sized(value: Any, size: int, name: str) -> FloatArray:
+    array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    if array.size != size:
+        raise ValueError(f"{name} has {array.size} entries; it must have {size}")
+    return array

@@ -1,0 +1,208 @@
+"""The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.plan.solver import plan_solver
+from servogen.results import Control, FloatArray, Info, Status
+from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.scene import Scene
+from servogen.scene.solver import EPSILON, Scalar
+from servogen.scene.symbols import chains
+from servogen.twins import textbook_solver
+from servogen.twins.interface import ControlsTwin, ServoTwin, Twin, finite, refusal
+
+_PROJECTION_CAP = 50
+
+
+def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
+    """The scene computed straight from Eqs. (1)-(12), (36)-(41) and (54): Jacobians by CasADi, the rest by numpy.
+
+    For float32, inputs, parameters and results are rounded to it; the computation itself stays in float64.
+    """
+    return (ReferenceServo if scene.kind == "servo" else ReferenceControls)(scene, scalar)
+
+
+class ReferenceTwin(Twin):
+    """A scene's textbook formulas behind the interface of a twin."""
+
+    def __init__(self, scene: Scene, scalar: Scalar) -> None:
+        self._plan = plan_solver(scene.rows, scene.controls, scalar, scene.solver)
+        self._function, self._names = _jacobians(scene)
+        super().__init__(scene, scalar)
+
+    def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
+        rounded = {n: self._round(v) for n, v in parameters.items()}
+        if not finite(rounded.values()):
+            return Status.NONFINITE
+        self._parameters = rounded
+        return Status.OK
+
+    def _round(self, value: Any) -> FloatArray:
+        with np.errstate(over="ignore"):
+            return np.asarray(value).astype(self.dtype).astype(float)
+
+    def system(self, inputs: dict[str, FloatArray]) -> tuple[Status, dict[str, FloatArray]]:
+        """(status, {"psi", "S", "z", "y"} or {"phi", "A", "B", "y"}); empty where the status is negative."""
+        rounded = {n: self._round(v) for n, v in inputs.items()}
+        if not finite(v for n, v in rounded.items() if n in self._names["used"]):
+            return Status.NONFINITE, {}
+        values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
+        given = {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}
+        if _singular(given["Q"], EPSILON[self.scalar]):
+            return Status.SINGULAR_MASS, {}
+        with np.errstate(all="ignore"):
+            result = self._textbook(given, rounded)
+        if not finite(result.values()):
+            return Status.OVERFLOW, {}
+        return Status.OK, result
+
+    def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        raise NotImplementedError
+
+    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
+        status, result = self.system(inputs)
+        shape = (self.scene.rows, self.scene.controls) if name in "SA" else (self.scene.rows,)
+        return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
+
+    def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
+        inverse, info = textbook_solver.pinv(self._round(matrix), self._plan)
+        return inverse.astype(self.dtype), info
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+        status, result = self.system(inputs)
+        if status < 0:
+            return Control(last, refusal(status))
+        matrix, right = ("S", "z") if self.scene.kind == "servo" else ("A", "B")
+        S = result[matrix].reshape(self.scene.rows, self.scene.controls)
+        tau, info = textbook_solver.solve(S, result[right].ravel(), result["y"].ravel(), self._plan, last)
+        return Control(np.asarray(tau).astype(self.dtype), info)
+
+
+class ReferenceServo(ReferenceTwin, ServoTwin):
+    """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
+
+    def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        J, Q = given["J"], given["Q"]
+        S = J @ np.linalg.solve(Q, given["G"])
+        z = -J @ np.linalg.solve(Q, given["P"]) - given["X"] + given["prescribed"]
+        y = inputs["y"] if "y" in inputs else given["y"]
+        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y}
+
+
+class ReferenceControls(ReferenceTwin, ControlsTwin):
+    """A = phi_tau and B by the four terms of Eq. (40)."""
+
+    def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        u_dot = np.linalg.solve(given["Q"], given["P"] + given["G"] @ inputs["tau"].reshape(-1, 1))
+        B = given["prescribed"] - given["X"] - given["J"] @ u_dot
+        y = inputs["y"] if "y" in inputs else given["y"]
+        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y}
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+        if entry == "control":
+            return super()._control(entry, inputs, last)
+        if entry == "project":
+            return self._project(inputs, last)
+        if not np.isfinite(dt):
+            return Control(last, refusal(Status.NONFINITE))
+        rate = super()._control("control", inputs, last)
+        if rate.info.status < 0:
+            return Control(last, rate.info)
+        projected = self._project(inputs | {"tau": inputs["tau"] + dt * rate.value}, last)
+        if 0 <= projected.info.status < rate.info.status:
+            return Control(projected.value, _with_status(projected.info, rate.info.status))
+        return projected
+
+    def _project(self, inputs: dict[str, FloatArray], last: FloatArray) -> Control:
+        """Newton's method on the nearest point: tau <- start + A+ (A (tau - start) - phi)."""
+        start = now = inputs["tau"]
+        for _ in range(_PROJECTION_CAP):
+            status, result = self.system(inputs | {"tau": now})
+            if status < 0:
+                return Control(last, refusal(status))
+            A = result["A"].reshape(self.scene.rows, self.scene.controls)
+            zeros = np.zeros(self.scene.controls)
+            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"], zeros, self._plan)
+            if info.status < 0:
+                return Control(last, info)
+            now, before = start + np.asarray(move, dtype=float), now
+            if np.max(np.abs(now - before)) <= 8 * EPSILON[self.scalar] * np.max(np.abs(now), initial=0.0):
+                return Control(now.astype(self.dtype), info)
+        return Control(last, refusal(Status.NOT_CONVERGED))
+
+
+def _with_status(info: Info, status: Status) -> Info:
+    return Info(status, info.path, info.rank, info.sweeps, info.sigma_min, info.residual)
+
+
+def _singular(Q: FloatArray, epsilon: float) -> bool:
+    """Whether Q, its rows and columns scaled to one, has a condition number beyond 1 / (n eps)."""
+    rows = np.max(np.abs(Q), axis=1, keepdims=True)
+    if not np.all(np.isfinite(Q)) or np.any(rows == 0):
+        return not np.any(~np.isfinite(Q))
+    scaled = Q / rows
+    scaled = scaled / np.max(np.abs(scaled), axis=0, keepdims=True)
+    if not np.all(np.isfinite(scaled)):
+        return True
+    sigma = np.linalg.svd(scaled, compute_uv=False)
+    return bool(sigma[-1] <= len(Q) * epsilon * sigma[0])
+
+
+def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
+    """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
+    mech = scene.mechanism
+    assert scene.parameters is not None
+    fields = [*scene.input_fields(), *scene.parameters]
+    rows = [_constraint_parts(scene, c) for c in scene.constraints]
+    parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
+    parts |= {"Q": mech.Q, "P": mech.P, "G": mech.G}
+    parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
+    everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
+    used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
+    names = {"in": [f.name for f in fields], "out": list(parts), "used": used}
+    return ca.Function("textbook", [f.symbol for f in fields], list(parts.values())), names
+
+
+def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
+    if isinstance(c, ControlsInvolved):
+        return {
+            "psi": c.phi,
+            "J": ca.jacobian(c.phi, scene.mechanism.u),
+            "X": _drift(scene, c.phi),
+            "A": ca.jacobian(c.phi, scene.mechanism.tau),
+            "prescribed": ca.mtimes(c.Theta, c.phi),
+        }
+    if isinstance(c, Holonomic):
+        psi_dot = _drift(scene, c.psi)
+        prescribed = ca.mtimes(c.Theta1, psi_dot) + ca.mtimes(c.Theta2, c.psi)
+        return {
+            "psi": c.psi,
+            "J": ca.jacobian(psi_dot, scene.mechanism.u),
+            "X": _drift(scene, psi_dot),
+            "prescribed": prescribed,
+        }
+    return {
+        "psi": c.psi,
+        "J": ca.jacobian(c.psi, scene.mechanism.u),
+        "X": _drift(scene, c.psi),
+        "prescribed": ca.mtimes(c.Theta, c.psi),
+    }
+
+
+def _drift(scene: Scene, psi: Any) -> Any:
+    """psi_q (C u + D) + psi_t + psi_r r', Eq. (5), term by term."""
+    mech = scene.mechanism
+    C = ca.SX.eye(mech.q.size1()) if mech.C is None else mech.C
+    drift = ca.mtimes(ca.jacobian(psi, mech.q), ca.mtimes(C, mech.u))
+    if mech.D is not None:
+        drift += ca.mtimes(ca.jacobian(psi, mech.q), mech.D)
+    if mech.t is not None:
+        drift += ca.jacobian(psi, mech.t)
+    assert scene.references is not None
+    for chain in chains(scene.references):
+        for value, derivative in zip(chain.chain, chain.chain[1:], strict=False):
+            drift += ca.mtimes(ca.jacobian(psi, value.symbol), derivative.symbol)
+    return drift

@@ -1,0 +1,147 @@
+"""The pseudo-inverse straight from the textbook: numpy's SVD with the plan's rank policy and tolerances.
+
+The independent reference for the generated C: nothing is shared with the templates, everything is in double.
+"""
+
+import math
+
+import numpy as np
+
+from servogen.plan.solver import SolverPlan
+from servogen.results import FloatArray, Info, Path, Status
+
+
+def solve(
+    S: FloatArray,
+    z: FloatArray,
+    y: FloatArray | None,
+    plan: SolverPlan,
+    last: FloatArray | None = None,
+) -> tuple[FloatArray, Info]:
+    """tau = y + S+ (z - S y), of shape (l,), and its info; S is (m, l), z (m,), y (l,) or None for zeros.
+
+    Where the status is negative, tau is `last`, or zeros. Raises ValueError for wrong shapes.
+    """
+    S = _shaped(S, (plan.m, plan.l), "S")
+    z = _shaped(z, (plan.m,), "z")
+    y = np.zeros(plan.l) if y is None else _shaped(y, (plan.l,), "y")
+    untouched = np.zeros(plan.l) if last is None else _shaped(last, (plan.l,), "last").copy()
+    if not (np.isfinite(S).all() and np.isfinite(z).all() and np.isfinite(y).all()):
+        return untouched, _failed(Status.NONFINITE)
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        left, sigma, right, row_unit, damped = _factors(S, plan)
+        tau = y + right @ ((left.T @ (z / row_unit - (S / row_unit[:, None]) @ y)) * _filter(sigma, damped, plan))
+        if not _representable(tau, plan):
+            return untouched, _failed(Status.OVERFLOW)
+        rank = len(sigma)
+        status = Status.OK
+        if rank < plan.m:
+            met = _consistent(S, z, y, tau, plan)
+            status = Status.RANK_DEFICIENT_CONSISTENT if met else Status.RANK_DEFICIENT_INCONSISTENT
+        if damped:
+            status = Status.REGULARISED
+        return tau, _info(status, rank, S, float(np.linalg.norm(z - S @ tau)), plan)
+
+
+def pinv(S: FloatArray, plan: SolverPlan, last: FloatArray | None = None) -> tuple[FloatArray, Info]:
+    """S+, of shape (l, m), and its info. Where the status is negative, the matrix is `last`, or zeros."""
+    S = _shaped(S, (plan.m, plan.l), "S")
+    shape = (plan.l, plan.m)
+    untouched = np.zeros(shape) if last is None else _shaped(last, shape, "last").copy()
+    if not np.isfinite(S).all():
+        return untouched, _failed(Status.NONFINITE)
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        left, sigma, right, row_unit, damped = _factors(S, plan)
+        matrix = (right * _filter(sigma, damped, plan)) @ left.T / row_unit
+        if not _representable(matrix, plan):
+            return untouched, _failed(Status.OVERFLOW)
+        rank = len(sigma)
+        status = Status.OK if rank == plan.m else Status.RANK_DEFICIENT_CONSISTENT
+        if damped:
+            status = Status.REGULARISED
+        return matrix, _info(status, rank, S, 0.0, plan)
+
+
+def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:
+    """U, sigma, V and the rows' units D with D U diag(sigma) V^T = S truncated to its rank, and whether to damp.
+
+    D is the identity (times one power of two) wherever the row scaling makes a difference to S+.
+    """
+    row_size = np.abs(S).max(axis=1)
+    counted = row_size > np.array(plan.atol)
+    S = np.where(counted[:, None], S, 0.0)
+    if not counted.any():
+        return np.zeros((plan.m, 0)), np.zeros(0), np.zeros((plan.l, 0)), np.ones(plan.m), False
+
+    largest = _power_of_two(row_size[counted].max())
+    own = np.where(counted, _power_of_two(np.where(counted, row_size, 1.0)), largest)
+    common = np.full(plan.m, largest)
+    row_unit = own if plan.rank == "scaled" else common
+
+    left, sigma, right = _svd(S / row_unit[:, None])
+    rank = int(np.sum(sigma > plan.rtol * sigma[0]))
+    left, sigma, right = left[:, :rank], sigma[:rank], right[:, :rank]
+    if plan.rank == "scaled":
+        raw_left, raw_sigma, raw_right = _svd((own / largest)[:, None] * left * sigma @ right.T)
+        raw = raw_left[:, :rank], raw_sigma[:rank], raw_right[:, :rank]
+        too_small = plan.damping is not None and bool(np.any(raw_sigma[:rank] * largest < plan.damping))
+        if rank < counted.sum() or too_small:
+            (left, sigma, right), row_unit = raw, common
+    damped = plan.damping is not None and row_unit is common and bool(np.any(sigma * largest < plan.damping))
+    # sigma in the unit of row_unit: the filter needs it in the unit of S where it damps
+    if damped:
+        return left, sigma * largest, right, np.ones(plan.m), True
+    return left, sigma, right, row_unit, False
+
+
+def _filter(sigma: FloatArray, damped: bool, plan: SolverPlan) -> FloatArray:
+    """1 / sigma, or NUMERICS' filter below eps_d: sigma / eps_d^2 (2 - (sigma / eps_d)^2)."""
+    plain = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    if not damped or plan.damping is None:
+        return plain
+    ratio = sigma / plan.damping
+    return np.where(ratio < 1, ratio / plan.damping * (2 - ratio**2), plain)
+
+
+def _consistent(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, plan: SolverPlan) -> bool:
+    """Every row met to a small backward error; a row's atol counts as uncertainty of each of its entries."""
+    reach = np.linalg.norm(tau) + np.linalg.norm(y)
+    size = np.linalg.norm(S, axis=1) * reach + np.abs(z)
+    noise = np.array(plan.atol) * math.sqrt(plan.l) * reach
+    return bool(np.all(np.abs(z - S @ tau) <= plan.consistency * size + noise))
+
+
+def _svd(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
+    return U, sigma, Vt.T
+
+
+def _power_of_two(x: FloatArray | float) -> FloatArray:
+    """The largest power of two at or below x > 0."""
+    return np.ldexp(1.0, np.frexp(x)[1] - 1)
+
+
+def _representable(values: FloatArray, plan: SolverPlan) -> bool:
+    return bool(np.isfinite(values.astype(plan.scalar)).all())
+
+
+def _shaped(values: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    return array
+
+
+def _info(status: Status, rank: int, S: FloatArray, residual: float, plan: SolverPlan) -> Info:
+    return Info(
+        status=status,
+        path=Path.CLOSED_FORM if min(plan.m, plan.l) == 1 else Path.SVD,
+        rank=rank,
+        sweeps=0,
+        sigma_min=float(np.linalg.svd(S, compute_uv=False)[-1]),
+        residual=residual,
+    )
+
+
+def _failed(status: Status) -> Info:
+    return Info(status, Path.PRECOMPUTED, 0, 0, 0.0, 0.0)

@@ -1,0 +1,81 @@
+"""Exact rational truth for the pseudo-inverse: floating-point inputs are dyadic rationals (NUMERICS: Truth)."""
+
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+
+from servogen.results import FloatArray
+
+Matrix = Any
+"""flint.fmpq_mat: exact, of any shape."""
+
+
+def rational(A: FloatArray) -> Matrix:
+    """The exact value of a finite array; a vector becomes a column."""
+    A = np.asarray(A)
+    if not np.isfinite(A).all():
+        raise ValueError("NaN and infinity are not rational")
+    A = A.reshape(-1, 1) if A.ndim == 1 else A
+    rows, columns = A.shape
+    return flint.fmpq_mat(rows, columns, [_fmpq(float(x)) for x in A.flat])
+
+
+def pinv_full(S: Matrix) -> Matrix:
+    """S+ of full row or full column rank: S^T (S S^T)^-1 or (S^T S)^-1 S^T. Raises ZeroDivisionError if it has neither."""
+    T = S.transpose()
+    if S.nrows() <= S.ncols():
+        return T * (S * T).inv()
+    return (T * S).inv() * T
+
+
+def pinv(S: Matrix) -> Matrix:
+    """S+ of any S, through S = B C with full-rank B and C: C+ B+ (MacDuffee; C the nonzero rows of the echelon form)."""
+    echelon, rank = S.rref()
+    if rank == 0:
+        return flint.fmpq_mat(S.ncols(), S.nrows())
+    pivots = [next(j for j in range(S.ncols()) if echelon[i, j] != 0) for i in range(rank)]
+    B = flint.fmpq_mat(S.nrows(), rank, [S[i, j] for i in range(S.nrows()) for j in pivots])
+    C = flint.fmpq_mat(rank, S.ncols(), [echelon[i, j] for i in range(rank) for j in range(S.ncols())])
+    return pinv_full(C) * pinv_full(B)
+
+
+def pinv_product(B: Matrix, C: Matrix) -> Matrix:
+    """(B C)+ = C+ B+ for B of full column rank and C of full row rank."""
+    return pinv_full(C) * pinv_full(B)
+
+
+def solution(S: Matrix, S_pinv: Matrix, z: Matrix, y: Matrix | None = None) -> Matrix:
+    """tau = y + S+ (z - S y)."""
+    return S_pinv * z if y is None else y + S_pinv * (z - S * y)
+
+
+def rank(S: Matrix) -> int:
+    return int(S.rank())
+
+
+def nearest(A: Matrix) -> FloatArray:
+    """The nearest doubles (overflow gives infinity); the shape is A's."""
+    values = np.empty((A.nrows(), A.ncols()))
+    for i in range(A.nrows()):
+        for j in range(A.ncols()):
+            values[i, j] = _float(A[i, j])
+    return values
+
+
+def difference(computed: FloatArray, exact: Matrix) -> FloatArray:
+    """computed - exact, subtracted exactly and rounded last; the shape is that of `exact`."""
+    return nearest(rational(computed) - exact)
+
+
+def _fmpq(x: float) -> Any:
+    numerator, denominator = x.as_integer_ratio()
+    return flint.fmpq(numerator, denominator)
+
+
+def _float(q: Any) -> float:
+    try:
+        return float(Fraction(int(q.p), int(q.q)))
+    except OverflowError:
+        return float("inf") if q > 0 else float("-inf")

@@ -1,0 +1,334 @@
+"""What the generated code ought to answer at given states: 50-digit values, expected statuses, and how far off
+correctly rounded code may be.
+
+Tolerances are no guesses: S, z, A, B may differ by the first-order rounding bound of their own operations
+(ir/rounding.py), tau by BAR u kappa (|tau| + |y|) for the solver and what the errors of S and z do to it.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import flint
+import mpmath as mp
+import numpy as np
+
+from servogen.derive.derive import derive
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, lower
+from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
+from servogen.ir.program import Program
+from servogen.ir.rounding import rounding_bounds
+from servogen.optimise.passes import optimise
+from servogen.plan.module import Module
+from servogen.results import FloatArray, Status
+from servogen.scene.domain import boundary_states, draw_states
+from servogen.scene.scene import Scene, State
+from servogen.twins import textbook_solver
+from servogen.verify import exact
+from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, EntryVectors, OutputVectors, VectorSet
+
+BAR = 8.0
+"""tau may err by BAR u kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
+
+STEP_DT = 1e-3
+"""dt of the vectors of step, in seconds."""
+
+_SECOND_ORDER = 1.01  # first-order bounds are off by their square
+_TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
+
+Exact = list[Any]  # mpf values, row by row
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Everything about one state: the truth, and the scalar's own answers by the interpreter."""
+
+    values: dict[str, Exact]
+    bounds: dict[str, FloatArray]
+    rounded: dict[str, FloatArray]
+    status: Status  # of the quantities that need Q, before any solve
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Expected tau with its tolerance (inf: not compared), status and rank."""
+
+    tau: Exact
+    tolerance: float
+    status: int
+    rank: int
+
+
+def states_to_check(scene: Scene, count: int, seed: int = 0) -> tuple[State, list[str]]:
+    """`count` states drawn from the domain and all boundary states, with the names of the latter."""
+    drawn = draw_states(scene, count, seed)
+    named = boundary_states(scene)
+    stacked = {n: np.concatenate([drawn[n], *(state[n] for _, state in named)]) for n in drawn}
+    return stacked, [name for name, _ in named]
+
+
+class Truth:
+    """The truth about one scene in one scalar at N states (drawn first, boundary ones last)."""
+
+    def __init__(self, scene: Scene, module: Module, states: State, drawn: int) -> None:
+        assert module.solver is not None
+        assert module.control is not None
+        self.scene, self.module, self.drawn = scene, module, drawn
+        self.solver, self.control = module.solver, module.control
+        self.scalar = module.target.scalar
+        self.dtype = np.dtype(self.scalar).type
+        with np.errstate(over="ignore"):
+            self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
+        self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
+        self.count = len(next(iter(self.inputs.values())))
+        self.program = optimise(lower(derive(scene)))
+        self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
+        self.finite = np.array([self._inputs_finite(k) for k in range(self.count)])
+        self.points = self._points(self.program, self.inputs)
+        self.answers = [self._answer(k) for k in range(self.count)]
+
+    def _inputs_finite(self, k: int) -> bool:
+        return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.inputs)
+
+    def _points(self, program: Program, inputs: dict[str, Any]) -> list[Point]:
+        everything = inputs | self.parameters
+        floats = {n: np.array(v, dtype=float) for n, v in everything.items()}
+        bounds = rounding_bounds(program, floats, self.scalar)
+        rounded = evaluate(program, everything, self.dtype)
+        points = []
+        for k, values in enumerate(evaluate_exactly(program, everything)):
+            at = {n: _row(v, k).ravel() for n, v in rounded.items()}
+            limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
+            points.append(Point(values, limits, at, self._status(k, at)))
+        return points
+
+    def _status(self, k: int, at: dict[str, FloatArray]) -> Status:
+        """Status of the code that needs Q, in the order the generated code tests in."""
+        if not self.finite[k]:
+            return Status.NONFINITE
+        if MASS_PIVOT in at:
+            if not np.all(np.isfinite(at[MASS_PIVOT])):
+                return Status.OVERFLOW
+            if not np.all(at[MASS_PIVOT] > self.dtype(self.module.mass_tolerance) * at[MASS_SCALE]):
+                return Status.SINGULAR_MASS
+        return Status.OK
+
+    def _evaluated(self, k: int, names: tuple[str, ...], needs_mass: bool) -> Status:
+        """Status of an entry point that hands out these quantities at state k."""
+        if not self.finite[k]:
+            return Status.NONFINITE
+        status = self.points[k].status if needs_mass else Status.OK
+        if status < 0:
+            return status
+        good = all(np.all(np.isfinite(self.points[k].rounded[n])) for n in names)
+        return Status.OK if good else Status.OVERFLOW
+
+    def _answer(self, k: int) -> Answer:
+        """control at state k."""
+        matrix, right = self.control.system
+        names = (matrix, right, "y") if self.control.y == "expression" else (matrix, right)
+        needs_mass = bool(self.control.kernel.guards)
+        return self._solved(k, self.points[k], matrix, right, self._evaluated(k, names, needs_mass), self._free(k))
+
+    def _free(self, k: int) -> str | FloatArray | None:
+        if self.control.y == "input":
+            return np.asarray(self.inputs["y"][k])
+        return "y" if self.control.y == "expression" else None
+
+    def _solved(
+        self, k: int, point: Point, matrix: str, right: str, status: Status, free: str | FloatArray | None
+    ) -> Answer:
+        l = self.solver.l
+        if status < 0:
+            return Answer([mp.mpf(0)] * l, np.inf, status, 0)
+        S, z = point.rounded[matrix].reshape(-1, l), point.rounded[right]
+        y_rounded = point.rounded["y"] if isinstance(free, str) else np.zeros(l) if free is None else free
+        _, info = textbook_solver.solve(S, z, y_rounded, self.solver)
+        if info.status < 0:
+            return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
+        y = point.values["y"] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
+        if info.rank == 0:
+            error = _norm(point.bounds["y"]) if isinstance(free, str) else 0.0
+            return Answer(y, error, info.status, 0)
+        if info.rank < min(self.solver.m, l) or self.solver.damping is not None:
+            return Answer(y, np.inf, info.status, info.rank)
+        tau, tolerance = self._full_rank(point, matrix, right, y, isinstance(free, str))
+        return Answer(tau, tolerance, info.status if np.isfinite(tolerance) else ANY_ANSWER, info.rank)
+
+    def _full_rank(self, point: Point, matrix: str, right: str, y: Exact, y_computed: bool) -> tuple[Exact, float]:
+        """tau to 50 digits, and the 2-norm by which the code may miss it."""
+        m, l = self.solver.m, self.solver.l
+        if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
+            return y, np.inf
+        S = _rational(point.values[matrix], m, l)
+        inverse = exact.pinv_full(S)
+        tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
+        sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
+        S_error, z_error = _norm(point.bounds[matrix]), _norm(point.bounds[right])
+        sigma = np.linalg.svd(sizes, compute_uv=False)
+        reach = _norm(exact.nearest(tau)) + _norm(y)
+        if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
+            return y, np.inf
+        solver = BAR * self.solver.epsilon * sigma[0] / sigma[-1] * reach
+        rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
+        residual = _norm(exact.nearest(rest))
+        carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
+        own = 2 * _norm(point.bounds["y"]) if y_computed else 0.0
+        smallest = l * float(np.finfo(self.scalar).smallest_subnormal)
+        return _values(tau), float(solver + carried + own + smallest)
+
+    def vector_set(self) -> VectorSet:
+        """Test vectors of every entry point, for the harness."""
+        fields = tuple((f.name, f.size) for f in self.module.inputs)
+        entries = [self._entry_vectors(e.name, tuple(r.name for r in e.kernel.results), bool(e.kernel.guards))
+                   for e in self.module.entry_points]  # fmt: skip
+        entries += [self._pinv_vectors(), self._control_vectors("control", self.answers)]
+        if self.control.projection is not None:
+            projected, stepped = self._projections()
+            entries += [
+                self._control_vectors("project", projected),
+                self._control_vectors("step", stepped, float(self.dtype(STEP_DT))),
+            ]
+        params = {n: [float(x) for x in v.ravel()] for n, v in self.parameters.items()}
+        inputs = {name: self.inputs[name] for name, _ in fields}
+        return VectorSet(self.module.target.prefix, self.scalar, tuple(entries), params, fields, inputs)
+
+    def expected(self, name: str) -> np.ndarray[Any, Any]:
+        """A quantity's 50-digit values, object array (N, size)."""
+        return np.array([p.values[name] for p in self.points], dtype=object)
+
+    def scale(self, name: str) -> float:
+        """The largest magnitude of a quantity over the drawn states, the domain."""
+        values = [abs(float(v)) for p in self.points[: self.drawn] for v in p.values[name]]
+        return max((v for v in values if np.isfinite(v)), default=0.0)
+
+    def _entry_vectors(self, entry: str, names: tuple[str, ...], needs_mass: bool) -> EntryVectors:
+        status = np.array([self._evaluated(k, names, needs_mass) for k in range(self.count)], dtype=int)
+        outputs = []
+        for name in names:
+            bounds = np.stack([p.bounds[name] for p in self.points])
+            values, tolerance = _comparable(self.expected(name), bounds, self.scalar)
+            outputs.append(OutputVectors.of(name, values, tolerance, self.scale(name), self.scalar))
+        return EntryVectors(entry, "plain", tuple(outputs), status)
+
+    def _pinv_vectors(self) -> EntryVectors:
+        """S+ of the matrices the scalar's own evaluation gives, against exact rationals."""
+        m, l = self.solver.m, self.solver.l
+        matrix = self.control.system[0]
+        matrices = np.stack([p.rounded[matrix] for p in self.points]).astype(self.dtype)
+        values, tolerance, status, rank = [], [], [], []
+        for flat in matrices:
+            inverse, info = textbook_solver.pinv(flat.reshape(m, l).astype(float), self.solver)
+            comparable = info.status >= 0 and info.rank in (0, min(m, l)) and self.solver.damping is None
+            truth = exact.nearest(exact.pinv(exact.rational(flat.reshape(m, l)))) if comparable else inverse
+            sigma = np.linalg.svd(flat.reshape(m, l).astype(float), compute_uv=False) if comparable else [1.0, 1.0]
+            kappa = sigma[0] / sigma[-1] if comparable and info.rank else 1.0
+            size = _norm(truth)
+            good = comparable and np.isfinite(size)
+            limit = BAR * self.solver.epsilon * kappa * size + float(np.finfo(self.scalar).smallest_subnormal)
+            values.append(truth.ravel())
+            tolerance.append(np.full(m * l, limit if good else np.inf))
+            status.append(int(info.status))
+            rank.append(info.rank)
+        stacked = np.stack(values)
+        drawn = stacked[: self.drawn]
+        scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
+        expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
+        output = OutputVectors.of(f"{matrix}_pinv", expected, limits, scale, self.scalar)
+        return EntryVectors("pinv", "pinv", (output,), np.array(status), np.array(rank), arguments={"S": matrices})
+
+    def _control_vectors(self, entry: str, answers: list[Answer], dt: float | None = None) -> EntryVectors:
+        values = np.array([a.tau for a in answers], dtype=object)
+        tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
+        known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
+        expected, limits = _comparable(values, tolerance, self.scalar)
+        name = "tau" if self.scene.kind == "servo" or entry != "control" else "tau_dot"
+        output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
+        status = np.array([a.status for a in answers])
+        rank = np.array([a.rank if a.status != ANY_ANSWER else ANY_RANK for a in answers])
+        call: Any = entry
+        return EntryVectors(entry, call, (output,), status, rank, dt)
+
+    def _projections(self) -> tuple[list[Answer], list[Answer]]:
+        """Expected answers of project and step; nonlinear phi (many iterations) is left to the reference."""
+        projected = [self._projected(k, self.points[k], self.inputs["tau"][k], 0.0) for k in range(self.count)]
+        dt = float(self.dtype(STEP_DT))
+        moved = np.array([_moved(self.inputs["tau"][k], a, dt) for k, a in enumerate(self.answers)], dtype=object)
+        points = self._points(self.program, self.inputs | {"tau": moved})
+        stepped = []
+        for k, (answer, point) in enumerate(zip(self.answers, points, strict=True)):
+            if answer.status < 0:
+                stepped.append(Answer(answer.tau, np.inf, answer.status, 0))
+                continue
+            size = _norm(moved[k])
+            carried = dt * answer.tolerance + 2 * self.solver.epsilon * size
+            after = self._projected(k, point, moved[k], carried)
+            both = ANY_ANSWER in (answer.status, after.status)
+            status = after.status if after.status < 0 else ANY_ANSWER if both else max(answer.status, after.status)
+            stepped.append(Answer(after.tau, after.tolerance, status, after.rank))
+        return projected, stepped
+
+    def _projected(self, k: int, point: Point, tau: Any, carried: float) -> Answer:
+        """tau - A+ phi, exact where phi is affine in tau; `carried` is the 2-norm of an error tau comes with."""
+        l = self.solver.l
+        status = Status.OK if self.finite[k] else Status.NONFINITE
+        if status == Status.OK and not all(np.all(np.isfinite(point.rounded[n])) for n in ("phi", "A")):
+            status = Status.OVERFLOW
+        if status < 0:
+            return Answer([mp.mpf(0)] * l, np.inf, status, 0)
+        if self.control.projection_cap > 1:
+            return Answer([mp.mpf(0)] * l, np.inf, ANY_ANSWER, ANY_RANK)
+        values = point.values | {"phi": [-v for v in point.values["phi"]]}
+        rounded = point.rounded | {"phi": -point.rounded["phi"]}
+        move = self._solved(k, Point(values, point.bounds, rounded, point.status), "A", "phi", status, None)
+        start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in tau]
+        with mp.workdps(DIGITS):
+            answer = [a + b for a, b in zip(start, move.tau, strict=True)]
+        size = _norm(start) + _norm(move.tau)
+        tolerance = move.tolerance + self.solver.epsilon * size + 2 * carried
+        return Answer(answer, tolerance, move.status, move.rank)
+
+
+def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:
+    with mp.workdps(DIGITS):
+        start = [mp.mpf(float(x)) for x in tau]
+        if answer.status < 0 or not np.isfinite(answer.tolerance):
+            return start
+        return [a + dt * b for a, b in zip(start, answer.tau, strict=True)]
+
+
+def _norm(values: Any) -> float:
+    """2-norm of numbers of any kind, without overflow or underflow on the way."""
+    sizes = np.array([abs(float(v)) for v in np.ravel(values)])
+    largest = float(np.max(sizes, initial=0.0))
+    return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
+
+
+def _row(values: FloatArray, k: int) -> FloatArray:
+    """Row k; a constant quantity has one row for all."""
+    return np.asarray(values[k if len(values) > 1 else 0])
+
+
+def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
+    """mpf values as exact rationals."""
+    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
+
+
+def _fmpq(value: Any) -> Any:
+    sign, mantissa, exponent, _ = value._mpf_
+    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return flint.fmpq(-magnitude.numerator if sign else magnitude.numerator, magnitude.denominator)
+
+
+def _values(column: exact.Matrix) -> Exact:
+    with mp.workdps(DIGITS):
+        entries = [column[i, 0] for i in range(column.nrows())]
+        return [mp.mpf(int(q.p)) / int(q.q) for q in entries]
+
+
+def _comparable(expected: Any, tolerance: FloatArray, scalar: str) -> tuple[Any, FloatArray]:
+    """Values and tolerances with what cannot be compared (not finite, or beyond the scalar) taken out."""
+    largest = float(np.finfo(scalar).max)
+    sizes = np.array([[abs(float(v)) for v in row] for row in expected])
+    good = np.isfinite(sizes) & (sizes < largest / 4) & np.isfinite(tolerance)
+    return np.where(good, expected, 0.0 if expected.dtype != object else mp.mpf(0)), np.where(good, tolerance, np.inf)

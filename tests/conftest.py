@@ -1,0 +1,43 @@
+"""Shared by all tests: what to do where a tool is not installed."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from servogen.verify.harness import require_target
+from servogen.verify.tools import ToolMissing, find_tool
+
+
+def _skip_or_fail(missing: ToolMissing) -> None:
+    """Skips and says why; fails instead where SERVOGEN_REQUIRE_ALL=1 (on machines that must check everything)."""
+    if os.environ.get("SERVOGEN_REQUIRE_ALL") == "1":
+        pytest.fail(f"SERVOGEN_REQUIRE_ALL=1, but {missing}")
+    pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="session")
+def need_tool() -> Callable[[str, str], Path]:
+    """need_tool("valgrind", "valgrind"): its path, or the test is skipped with the command that installs it."""
+
+    def need(name: str, debian_package: str) -> Path:
+        try:
+            return find_tool(name, debian_package)
+        except ToolMissing as missing:
+            _skip_or_fail(missing)
+            raise AssertionError from missing
+
+    return need
+
+
+@pytest.fixture(scope="session")
+def need_target() -> Callable[..., None]:
+    """need_target("cortex-m4") or need_target("host", "clang"): skips where a tool it takes is missing."""
+
+    def need(target: str = "host", compiler: str = "gcc") -> None:
+        try:
+            require_target(target, compiler)
+        except ToolMissing as missing:
+            _skip_or_fail(missing)
+
+    return need
