@@ -12,8 +12,11 @@ from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Parameter, Parameters, Ref, References
+from servogen.simulate.simulation import Simulation
 from servogen.twins.reference import reference
-from servogen.version import VERSION as __version__
+from servogen.version import VERSION
+
+__version__ = VERSION
 
 __all__ = [
     "Control",
@@ -30,6 +33,7 @@ __all__ = [
     "References",
     "Scene",
     "SceneError",
+    "Simulation",
     "Solver",
     "Status",
     "__version__",

@@ -1,14 +1,17 @@
 """The pipeline, on one page: derive, lower, optimise, plan, render, write."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from servogen.derive.derive import derive
-from servogen.derive.lower import lower
+from servogen.derive.formulation import MassTreatment, Quantity
+from servogen.derive.lower import lower, lower_quantities
+from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
 from servogen.optimise.passes import optimise
 from servogen.package import Package, write
 from servogen.plan.module import Module, Target
-from servogen.plan.planner import plan, plan_solver_only
+from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.render.render import render
 from servogen.scene.names import check_identifier
 from servogen.scene.scene import Scene
@@ -47,6 +50,26 @@ def build_solver(
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12."""
     module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix), solver or Solver())
     return write(render(module), out, module, None)
+
+
+def build_plant(
+    scene: Scene, out: str | Path | None = None, scalar: Scalar = "float64", prefix: str | None = None
+) -> Package:
+    """Generate the C of the mechanism itself, q' and u' by Eqs. (1)-(2): `<prefix>_q_dot_u_dot`.
+
+    out and scalar as for `build`; prefix: default <scene>_plant, and <scene>_plant_f32 for float32.
+    Raises SceneError for a singular Q.
+    """
+    quantities, mass = derive_plant(scene)
+    module = compile_functions(scene, quantities, mass, target_for(f"{scene.name}_plant", scalar, prefix))
+    return write(render(module), out, module, scene)
+
+
+def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, target: Target) -> Module:
+    """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
+    program = lower_quantities(scene, quantities, mass)
+    program = optimise(program)
+    return plan_functions(scene, quantities, mass, program, target)
 
 
 def target_for(name: str, scalar: Scalar, prefix: str | None) -> Target:

@@ -38,6 +38,7 @@ typedef struct {
 typedef struct {
     const char *name;
     uint32_t vectors;
+    uint32_t domain; /* errors are measured in ulps over the first so many; what follows is judged by tolerance alone */
     uint32_t outputs;
     const harness_output *output;
     const int8_t *status; /* expected, one per vector; NULL: any that is not negative */

@@ -57,7 +57,7 @@ class Sample:
         S, z, tau = output("S", "S", 4.0), output("z", "z", 50.0), output("tau", "tau", 20.0, 64)
         entries = (
             EntryVectors("S_z", "plain", (S, z), plain),
-            EntryVectors("z", "plain", (z,), np.where(plain < 0, -1, ANY_ANSWER)),
+            EntryVectors("z", "plain", (z,), np.where(plain < 0, -1, ANY_ANSWER), domain=count // 2),
             EntryVectors("control", "control", (tau,), control, rank),
             EntryVectors("project", "project", (output("tau", "project", 2.0),), plain),
             EntryVectors("step", "step", (output("tau", "step", 2.0),), plain, dt=DT),

@@ -222,7 +222,8 @@ def test_figures_are_those_of_the_dumped_values(
                 assert dump.values.shape == (64, output.size)
                 answered = dump.status >= 0
                 error = np.abs((dump.values - output.hi) - output.lo)[answered]
-                assert figures.max_ulps == np.max(error / np.dtype(scalar).type(ulp(output.scale, scalar)))
+                in_domain = np.flatnonzero(answered) < (64 if entry.domain is None else entry.domain)
+                assert figures.max_ulps == np.max(error[in_domain] / np.dtype(scalar).type(ulp(output.scale, scalar)))
                 ratio = error / output.tolerance[answered].astype(scalar)
                 assert figures.max_ratio == ratio.max()
                 assert np.isclose(ratio[np.flatnonzero(answered).tolist().index(figures.worst)].max(), ratio.max())

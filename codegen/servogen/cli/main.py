@@ -4,8 +4,10 @@ import sys
 
 import click
 
+from servogen.cli.check import check_command
 from servogen.cli.console import WRONG_INPUT, err, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
+from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
 from servogen.verify.tools import ToolMissing
 from servogen.version import VERSION
@@ -21,7 +23,7 @@ def cli() -> None:
     """
 
 
-for command in (list_scenes, generate, solver):
+for command in (list_scenes, generate, solver, check_command, stress_command):
     cli.add_command(command)
 
 

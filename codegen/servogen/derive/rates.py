@@ -27,9 +27,11 @@ def rate(scene: Scene, expression: Any, what: str, u_dot: Any = None) -> Any:
         last = reference.chain[-1]
         if reference.order > 0 and ca.depends_on(expression, last.symbol):
             name = reference.chain[0].name
+            remedy = f"give sg.Ref(..., order={reference.order + 1})"
+            if reference.order == 2:
+                remedy = f"2 is the highest; make {last.name!r} the derivative of a reference of its own"
             raise SceneError(
-                f"{what} needs the derivative of {last.name!r}, a higher order than reference {name!r} declares; "
-                f"give sg.Ref(..., order={reference.order + 1})"
+                f"{what} needs the derivative of {last.name!r}, a higher order than reference {name!r} declares; {remedy}"
             )
     along = ca.vertcat(*(symbol for symbol, _ in moving))
     seed = ca.vertcat(*(derivative for _, derivative in moving))

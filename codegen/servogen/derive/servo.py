@@ -14,7 +14,8 @@ from servogen.scene.scene import Scene
 def derive_servo(scene: Scene) -> Formulation:
     """psi, S and z; also y where it is an expression."""
     mech = scene.mechanism
-    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*map(lambda c: _rows(scene, c), scene.constraints)))
+    rows = [_rows(scene, c) for c in scene.constraints]
+    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*rows, strict=True))
     # m solves with Q for the rows of psi_u, not l for the columns of G
     W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
     W = W_transposed.T

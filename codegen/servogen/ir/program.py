@@ -44,7 +44,7 @@ class Output:
         return self.rows * self.columns
 
 
-class IllegalProgram(AssertionError):
+class IllegalProgramError(AssertionError):
     """A pass broke the representation: a defect of servogen, not of the scene."""
 
 
@@ -110,14 +110,14 @@ def parse(text: str) -> Program:
 
 
 def check_legal(program: Program) -> Program:
-    """Return `program`; IllegalProgram naming the first offending instruction if it is not in order."""
+    """Return `program`; IllegalProgramError naming the first offending instruction if it is not in order."""
     sizes = {i.name: i.size for i in program.inputs}
     if len(sizes) != len(program.inputs):
-        raise IllegalProgram(f"program {program.name}: two inputs share a name")
+        raise IllegalProgramError(f"program {program.name}: two inputs share a name")
     for k, instr in enumerate(program.instrs):
         where = f"program {program.name}, instruction {k}: {instr.op}"
         if any(not 0 <= a < k for a in instr.args):
-            raise IllegalProgram(f"{where} refers to an instruction that is not before it")
+            raise IllegalProgramError(f"{where} refers to an instruction that is not before it")
         if instr.op == "input":
             legal = isinstance(instr.const, tuple) and 0 <= instr.const[1] < sizes.get(instr.const[0], 0)
         elif instr.op == "const":
@@ -125,10 +125,12 @@ def check_legal(program: Program) -> Program:
         else:
             legal = instr.op in OPS and len(instr.args) == OPS[instr.op].arity and instr.const is None
         if not legal:
-            raise IllegalProgram(f"{where} {instr.args} {instr.const} is not legal")
+            raise IllegalProgramError(f"{where} {instr.args} {instr.const} is not legal")
     for o in program.outputs:
         if len(o.nodes) != o.size or any(not 0 <= n < len(program.instrs) for n in o.nodes):
-            raise IllegalProgram(f"program {program.name}: output {o.name} is not {o.rows}x{o.columns} instructions")
+            raise IllegalProgramError(
+                f"program {program.name}: output {o.name} is not {o.rows}x{o.columns} instructions"
+            )
     return program
 
 

@@ -52,13 +52,17 @@ def _bound(program: Program, root: int, partials: list[tuple[FloatArray, ...]], 
     total = np.zeros_like(local[root])
     for k in sorted(live(program, [root]), reverse=True):
         weight = adjoint.pop(k)
-        total += np.abs(weight) * local[k]
+        reached = weight != 0  # a branch that is not taken may be NaN
+        total += np.where(reached, np.abs(weight) * local[k], 0.0)
         for a, partial in zip(program.instrs[k].args, partials[k], strict=True):
-            share = weight * partial
+            share = np.where(reached, weight * partial, 0.0)
             adjoint[a] = adjoint[a] + share if a in adjoint else share
     return total
 
 
 def _constant_error(value: Fraction, scalar: str) -> float:
-    nearest = np.dtype(scalar).type(float(value))
-    return float(abs(Fraction(float(nearest)) - value))
+    try:
+        nearest = float(np.dtype(scalar).type(float(value)))
+        return float(abs(Fraction(nearest) - value))
+    except OverflowError:
+        return float("inf")

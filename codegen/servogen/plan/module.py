@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.plan.solver import SolverPlan
 from servogen.scene.solver import Scalar
@@ -111,8 +112,6 @@ class Module:
     @property
     def needs_libm(self) -> bool:
         """Whether anything of <math.h> is called."""
-        from servogen.ir.ops import OPS
-
         programs: list[Program] = [self.prepare.program, *(k.program for k in self.kernels)]
         called = any(i.op in OPS and OPS[i.op].needs_libm for p in programs for i in p.instrs)
         return called or self.solver is not None

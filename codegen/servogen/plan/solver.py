@@ -97,7 +97,7 @@ class SolverPlan:
     """One pseudo-inverse, S of m x l. All numbers are exact in `scalar`."""
 
     m: int
-    l: int  # noqa: E741
+    l: int
     scalar: Scalar
     kind: Kind
     rank: Literal["scaled", "raw"]
@@ -149,7 +149,7 @@ class SolverPlan:
         return shown | {"atol": list(self.atol), "ladder": [self.path.name]}
 
 
-def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:  # noqa: E741
+def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
     """The plan for S of m x l. Raises SceneError for sizes outside 1..12 and tolerances that do not fit."""
     if not (1 <= m <= LARGEST and 1 <= l <= LARGEST):
         raise SceneError(
@@ -217,7 +217,7 @@ def _row_tolerances(m: int, atol: float | Sequence[float] | None, scalar: Scalar
     return tuple(_in_scalar(float(v), scalar, "atol") for v in values)
 
 
-def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> RowRange | None:  # noqa: E741
+def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> RowRange | None:
     """Exponents chosen so that no product that matters underflows and no sum overflows.
 
     Squares in 2^+-a and tasks in 2^+-b: then |tau - y| <= 2^(b + a/2) is below half an ulp of the largest number, and
@@ -253,7 +253,7 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     "closed_form" for one row or column (the usual case, no damping); else "sweep" (every pair rotated) and "worst"
     (sweep_cap sweeps of each Jacobi run that a solve can need, factors applied twice).
     """
-    m, l, n = plan.m, plan.l, plan.count  # noqa: E741
+    m, l, n = plan.m, plan.l, plan.count
     if plan.kind == "row":
         return {"closed_form": _sum((1, _dot(l)), (1, _total(add=l, mul=l)), (1, _total(div=1)), (1, _total(l, l)))}
     residual = _total(add=m * l, mul=m * l)
@@ -267,6 +267,11 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     runs = 1 + (plan.rank == "scaled") + (plan.rank == "scaled" and plan.damping is not None)
     norms = _sum((n, _sum((1, _dot(length)), (1, _total(sqrt=1)))))
     worst = _sum(
-        (runs * plan.sweep_cap, sweep), (runs, norms), (2, apply), (2, residual), (1, _total(add=3 * l)), (n, _total(mul=1))
+        (runs * plan.sweep_cap, sweep),
+        (runs, norms),
+        (2, apply),
+        (2, residual),
+        (1, _total(add=3 * l)),
+        (n, _total(mul=1)),
     )
     return {"sweep": sweep, "worst": worst}

@@ -90,7 +90,7 @@ Model = list[tuple[Input, tuple[int, ...] | None]]  # a field, and its nodes; No
 def _name_model(program: Program, nodes: list[int]) -> tuple[Model, dict[int, tuple[str, int]]]:
     """Fields for values handed over: a parameter keeps its name, a computed value is c0, c1, ..."""
     parameters = [i for i in program.inputs if i.kind == "parameter"]
-    taken = {i.name for i in parameters}
+    taken = {i.name for i in program.inputs}  # the tick's inputs stand beside the fields
     leaf: dict[int, tuple[str, int]] = {}
     model: Model = []
     used = {program.instrs[k].const[0] for k in nodes if isinstance(program.instrs[k].const, tuple)}  # type: ignore[index]

@@ -10,11 +10,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.ir.program import Program
 from servogen.plan.module import Module
-from servogen.plan.solver import solver_context, solver_operations
+from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import reads, statements
 from servogen.render.literals import literal
+from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
+
+PLANT_STATUSES = (Status.OK, Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW)
+"""What a function can return that solves nothing by a pseudo-inverse."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,14 @@ def environment() -> Environment:
 
 
 def render(module: Module) -> tuple[SourceFile, ...]:
-    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene or of a solver alone."""
-    assert module.solver is not None
+    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant."""
     prefix = module.target.prefix
     templates = environment()
-    context = _context(module) | solver_context(module.solver, prefix, partial(literal, scalar=module.target.scalar))
+    context = _context(module)
+    kind = "package" if module.solver is not None else "plant"
     files = [
-        SourceFile(f"{prefix}.h", templates.get_template("package.h.j2").render(context)),
-        SourceFile(f"{prefix}.c", templates.get_template("package.c.j2").render(context)),
+        SourceFile(f"{prefix}.h", templates.get_template(f"{kind}.h.j2").render(context)),
+        SourceFile(f"{prefix}.c", templates.get_template(f"{kind}.c.j2").render(context)),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
     return (*files, SourceFile("manifest.json", _manifest(module, files)))
@@ -66,9 +70,12 @@ def cost_text(program: Program) -> str:
 def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
-    return module.context() | {
+    lit = partial(literal, scalar=scalar)
+    plant = {"lit": lit, "bits": BITS[scalar], "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]}
+    numbers = plant if module.solver is None else solver_context(module.solver, module.target.prefix, lit)
+    return module.context() | numbers | {
         "version": VERSION,
-        "title": f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}",
+        "title": _title(module),
         "math": module.needs_libm,
         "cost": cost_text,
         "prepare_cost": cost_text(module.prepare.program),
@@ -78,6 +85,12 @@ def _context(module: Module) -> dict[str, Any]:
         "reads": reads,
         "initialiser": partial(_initialiser, scalar=scalar),
     }
+
+
+def _title(module: Module) -> str:
+    if module.solver is None:
+        return f"functions of scene {module.scene}: {', '.join(e.name for e in module.entry_points)}"
+    return f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}"
 
 
 def _initialiser(values: tuple[float, ...], scalar: str) -> str:
@@ -97,19 +110,19 @@ def _solver_cost(module: Module) -> str:
 
 
 def _manifest(module: Module, files: list[SourceFile]) -> str:
-    assert module.solver is not None
-    solver = module.solver.to_json() | {"operations": solver_operations(module.solver)}
+    costs = solver_operations(module.solver) if module.solver is not None else None
     manifest: dict[str, Any] = {
         "generator": f"servogen {VERSION}",
         "scene": module.scene,
         "scene_hash": module.scene_hash,
         "scalar": module.target.scalar,
         "prefix": module.target.prefix,
-        "entry_points": _entry_points(module, solver["operations"]),
-        "solver": solver,
-        "files": {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files},
+        "entry_points": _entry_points(module, costs),
     }
-    if module.control is not None:
+    if module.solver is not None:
+        manifest["solver"] = module.solver.to_json() | {"operations": costs}
+    manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
+    if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}
         manifest["parameters"] = {f.name: _struct_field(f) for f in module.parameters}
         manifest["inputs"] = {f.name: _struct_field(f) for f in module.inputs}
@@ -120,7 +133,7 @@ def _struct_field(f: Any) -> dict[str, Any]:
     return {"size": f.size, "default": list(f.default), "unit": f.unit, "text": f.text}
 
 
-def _entry_points(module: Module, solver_counts: dict[str, Any]) -> dict[str, Any]:
+def _entry_points(module: Module, solver_counts: dict[str, Any] | None) -> dict[str, Any]:
     """Operations of each entry point; those that solve say the solver's own in "solver_operations"."""
     points: dict[str, Any] = {}
     for entry in module.entry_points:
@@ -128,6 +141,8 @@ def _entry_points(module: Module, solver_counts: dict[str, Any]) -> dict[str, An
             "operations": entry.kernel.program.operations(),
             "skipped": list(module.skipped.get(entry.name, ())),
         }
+    if solver_counts is None:
+        return points
     nothing = {"total": 0}
     points["pinv"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
     if module.control is None:

@@ -1,12 +1,15 @@
 """Servo-constraints, and the stability of the dynamics the user prescribes for them."""
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import casadi as ca
+import flint
 import numpy as np
 
 from servogen.errors import SceneError
+from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 
 
@@ -14,6 +17,13 @@ def _label(name: object) -> str:
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
         raise SceneError(f"a constraint's name must be printable text; got {name!r}")
     return f"constraint {name!r}"
+
+
+def _rows(value: Any, what: str) -> Any:
+    sx = column(value, what)
+    if sx.size1() == 0:
+        raise SceneError(f"{what} is empty; give at least one row")
+    return sx
 
 
 def theta_matrix(Theta: Any, m: int, what: str) -> Any:
@@ -33,13 +43,29 @@ def theta_matrix(Theta: Any, m: int, what: str) -> Any:
 def check_hurwitz(matrix: Any, what: str) -> None:
     """SceneError unless every eigenvalue of a numeric matrix has a negative real part."""
     numbers = np.array(ca.DM(matrix), dtype=float)
-    eigenvalues = np.linalg.eigvals(numbers)
-    worst = float(np.max(eigenvalues.real))
-    if worst >= 0:
+    if not is_hurwitz(numbers):
+        worst = max(0.0, float(np.max(np.linalg.eigvals(numbers).real)))
         raise SceneError(
             f"{what} is unstable: it has an eigenvalue with real part {worst:.6g}; "
             "every eigenvalue must lie in the open left half-plane (Hurwitz)"
         )
+
+
+def is_hurwitz(numbers: FloatArray) -> bool:
+    """Whether every eigenvalue has a negative real part: Routh's array in exact arithmetic.
+
+    Numeric eigenvalues of a singular matrix come out on either side of zero. Numbers count as the decimals they print.
+    """
+    rows = [[flint.fmpq(*Fraction(repr(float(x))).as_integer_ratio()) for x in row] for row in numbers]
+    coefficients = flint.fmpq_mat(rows).charpoly().coeffs()[::-1]
+    upper, lower = coefficients[0::2], coefficients[1::2]
+    while lower:
+        if lower[0] <= 0:
+            return False
+        ratio = upper[0] / lower[0]
+        below = [*lower[1:], flint.fmpq(0)]
+        upper, lower = lower, [a - ratio * b for a, b in zip(upper[1:], below, strict=False)]
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +81,7 @@ class Nonholonomic:
 
     def __post_init__(self) -> None:
         what = _label(self.name)
-        psi = column(self.psi, f"{what}: psi")
+        psi = _rows(self.psi, f"{what}: psi")
         Theta = theta_matrix(self.Theta, psi.size1(), f"{what}: Theta")
         if Theta.is_constant():
             check_hurwitz(Theta, f"{what}: Theta")
@@ -81,7 +107,7 @@ class Holonomic:
 
     def __post_init__(self) -> None:
         what = _label(self.name)
-        psi = column(self.psi, f"{what}: psi")
+        psi = _rows(self.psi, f"{what}: psi")
         m = psi.size1()
         Theta1 = theta_matrix(self.Theta1, m, f"{what}: Theta1")
         Theta2 = theta_matrix(self.Theta2, m, f"{what}: Theta2")
@@ -117,7 +143,7 @@ class ControlsInvolved:
 
     def __post_init__(self) -> None:
         what = _label(self.name)
-        phi = column(self.phi, f"{what}: phi")
+        phi = _rows(self.phi, f"{what}: phi")
         Theta = theta_matrix(self.Theta, phi.size1(), f"{what}: Theta")
         if Theta.is_constant() and not Theta.is_zero():
             check_hurwitz(Theta, f"{what}: Theta (0 would be allowed, too)")

@@ -12,6 +12,10 @@ def to_sx(value: Any, what: str) -> Any:
     """SX of `value`, finite where it is numeric; SceneError naming `what` otherwise."""
     if isinstance(value, ca.MX):
         raise SceneError(f"{what} is CasADi MX; write the scene in SX (ca.SX.sym), or expand the function first")
+    if value is None:
+        raise SceneError(f"{what} is None; give a number, an array or CasADi SX")
+    if _holds_sx(value):
+        raise SceneError(f"{what} is a {type(value).__name__} of SX; join it with ca.vertcat(...) and ca.horzcat(...)")
     try:
         sx = value if isinstance(value, ca.SX) else ca.SX(ca.DM(np.asarray(value, dtype=float)))
     except (TypeError, ValueError, NotImplementedError, RuntimeError):
@@ -24,6 +28,13 @@ def to_sx(value: Any, what: str) -> Any:
         if element.is_constant() and not np.isfinite(float(element)):
             raise SceneError(f"{what} has an entry {float(element)}; give finite numbers")
     return sx
+
+
+def _holds_sx(value: Any) -> bool:
+    """Whether a list or an array has SX among its entries: numpy would read a symbol as NaN."""
+    if isinstance(value, np.ndarray):
+        value = list(value.ravel()) if value.dtype == object else []
+    return isinstance(value, list | tuple) and any(isinstance(x, ca.SX) or _holds_sx(x) for x in value)
 
 
 def column(value: Any, what: str, size: int | None = None) -> Any:

@@ -11,6 +11,7 @@ from types import ModuleType
 import servogen.scenes
 from servogen.errors import SceneError
 from servogen.scene.scene import Scene
+from servogen.simulate.simulation import Simulation
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -26,10 +27,31 @@ def builtin_summary(name: str) -> str:
 
 def load_scene(spec: str) -> Scene:
     """The scene that `spec` names. SceneError for what does not exist, does not run or is no scene."""
+    return _load(spec)[1]
+
+
+def load_simulation(spec: str) -> tuple[Scene, Simulation]:
+    """The scene that `spec` names, and how its file wants it simulated.
+
+    That is the file's variable `simulation` for its variable `scene` or its only scene, `<variable>_simulation` for
+    a scene of another name; defaults where there is none.
+    """
+    module, scene = _load(spec)
+    scenes = {name: value for name, value in vars(module).items() if isinstance(value, Scene)}
+    names = [f"{name}_simulation" for name, value in scenes.items() if value is scene]
+    if scenes.get("scene") is scene or len({id(s) for s in scenes.values()}) == 1:
+        names.append("simulation")
+    found = [vars(module)[name] for name in names if name in vars(module)]
+    if found and not isinstance(found[0], Simulation):
+        raise SceneError(f"{spec}: the variable simulation is a {type(found[0]).__name__}; make it an sg.Simulation")
+    return scene, found[0] if found else Simulation()
+
+
+def _load(spec: str) -> tuple[ModuleType, Scene]:
     if spec in builtin_names():
-        scene = importlib.import_module(f"servogen.scenes.{spec}").scene
-        assert isinstance(scene, Scene)
-        return scene
+        module = importlib.import_module(f"servogen.scenes.{spec}")
+        assert isinstance(module.scene, Scene)
+        return module, module.scene
     path, _, variable = spec.partition(":") if not Path(spec).exists() else (spec, "", "")
     file = Path(path)
     if not file.is_file():
@@ -37,20 +59,23 @@ def load_scene(spec: str) -> Scene:
             f"no scene {spec!r}: neither a built-in one ({', '.join(builtin_names())}) nor a file; "
             "give path/to/file.py or path/to/file.py:variable"
         )
-    return _scene_of(_run(file), file, variable or None)
+    module = _run(file)
+    return module, _scene_of(module, file, variable or None)
 
 
 def _run(file: Path) -> ModuleType:
-    loader = importlib.util.spec_from_file_location(file.stem, file)
+    name = f"servogen_scene_{file.stem}"
+    loader = importlib.util.spec_from_file_location(name, file)
     if loader is None or loader.loader is None:
         raise SceneError(f"{file} is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(loader)
-    sys.path.insert(0, str(file.parent))  # so that a scene can import its neighbours
+    sys.modules[name] = module  # so that a scene can define dataclasses
+    sys.path.insert(0, str(file.parent))  # and import its neighbours
     try:
         loader.loader.exec_module(module)
     except SceneError as error:
         raise SceneError(f"{_place(file, error)}: {error}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SceneError(f"{_place(file, error)}: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(file.parent))

@@ -7,16 +7,28 @@ from servogen.errors import SceneError
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 C_KEYWORDS = frozenset(
-    ["auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "alignas", "alignof", "atomic", "bool", "complex", "false", "generic", "imaginary", "noreturn", "nullptr", "static_assert", "thread_local", "true", "typeof", "typeof_unqual"]
+    """auto break case char const continue default do double else enum extern float for goto if inline int long
+    register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+    alignas alignof atomic bool complex false generic imaginary noreturn nullptr static_assert thread_local true
+    typeof typeof_unqual""".split()
 )
 
 CXX_KEYWORDS = frozenset(
-    ["and", "and_eq", "asm", "bitand", "bitor", "catch", "char8_t", "char16_t", "char32_t", "class", "compl", "concept", "const_cast", "consteval", "constexpr", "constinit", "co_await", "co_return", "co_yield", "decltype", "delete", "dynamic_cast", "explicit", "export", "friend", "mutable", "namespace", "new", "noexcept", "not", "not_eq", "operator", "or", "or_eq", "private", "protected", "public", "reinterpret_cast", "requires", "static_cast", "template", "this", "throw", "try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq"]
+    """and and_eq asm bitand bitor catch char8_t char16_t char32_t class compl concept const_cast consteval constexpr
+    constinit co_await co_return co_yield decltype delete dynamic_cast explicit export friend mutable namespace
+    new noexcept not not_eq operator or or_eq private protected public reinterpret_cast requires static_cast
+    template this throw try typeid typename using virtual wchar_t xor xor_eq""".split()
 )
 
 # Object-like macros of the standard headers and of common compilers, and function-like ones of <math.h>.
 STANDARD_MACROS = frozenset(
-    ["I", "NULL", "EOF", "NAN", "INFINITY", "HUGE_VAL", "HUGE_VALF", "HUGE_VALL", "MATH_ERRNO", "MATH_ERREXCEPT", "math_errhandling", "errno", "assert", "NDEBUG", "EDOM", "ERANGE", "EILSEQ", "CHAR_BIT", "INT_MAX", "INT_MIN", "UINT_MAX", "LONG_MAX", "LONG_MIN", "SIZE_MAX", "DBL_EPSILON", "DBL_MAX", "DBL_MIN", "FLT_EPSILON", "FLT_MAX", "FLT_MIN", "FLT_RADIX", "M_E", "M_LOG2E", "M_LOG10E", "M_LN2", "M_LN10", "M_PI", "M_PI_2", "M_PI_4", "M_1_PI", "M_2_PI", "M_2_SQRTPI", "M_SQRT2", "M_SQRT1_2", "DOMAIN", "SING", "OVERFLOW", "UNDERFLOW", "PLOSS", "TLOSS", "MAXFLOAT", "FP_NAN", "FP_INFINITE", "FP_ZERO", "FP_SUBNORMAL", "FP_NORMAL", "FP_ILOGB0", "FP_ILOGBNAN", "fpclassify", "isfinite", "isinf", "isnan", "isnormal", "signbit", "isgreater", "isgreaterequal", "isless", "islessequal", "islessgreater", "isunordered", "stdin", "stdout", "stderr", "BUFSIZ", "EXIT_FAILURE", "EXIT_SUCCESS", "RAND_MAX", "SIGINT", "offsetof", "va_arg", "va_start", "va_end", "unix", "linux", "i386", "near", "far", "min", "max"]
+    """I NULL EOF NAN INFINITY HUGE_VAL HUGE_VALF HUGE_VALL MATH_ERRNO MATH_ERREXCEPT math_errhandling errno assert
+    NDEBUG EDOM ERANGE EILSEQ CHAR_BIT INT_MAX INT_MIN UINT_MAX LONG_MAX LONG_MIN SIZE_MAX DBL_EPSILON DBL_MAX
+    DBL_MIN FLT_EPSILON FLT_MAX FLT_MIN FLT_RADIX M_E M_LOG2E M_LOG10E M_LN2 M_LN10 M_PI M_PI_2 M_PI_4 M_1_PI
+    M_2_PI M_2_SQRTPI M_SQRT2 M_SQRT1_2 DOMAIN SING OVERFLOW UNDERFLOW PLOSS TLOSS MAXFLOAT FP_NAN FP_INFINITE
+    FP_ZERO FP_SUBNORMAL FP_NORMAL FP_ILOGB0 FP_ILOGBNAN fpclassify isfinite isinf isnan isnormal signbit
+    isgreater isgreaterequal isless islessequal islessgreater isunordered stdin stdout stderr BUFSIZ EXIT_FAILURE
+    EXIT_SUCCESS RAND_MAX SIGINT offsetof va_arg va_start va_end unix linux i386 near far min max""".split()
 )
 
 # Keywords of the Python twins, and the names the inputs of every scene have.
@@ -54,4 +66,5 @@ def check_field_name(name: str, what: str) -> str:
 
 def comment_safe(text: str) -> str:
     """`text` on one line, and unable to end the C comment it is put in."""
-    return " ".join(str(text).split()).replace("*/", "* /").replace("/*", "/ *")
+    visible = "".join(c if c.isprintable() else " " for c in str(text))
+    return " ".join(visible.split()).replace("*/", "* /").replace("/*", "/ *")

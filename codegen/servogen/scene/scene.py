@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
-from servogen.ir.ops import unsupported_operations
+from servogen.ir.ops import constants, unsupported_operations
 from servogen.results import FloatArray
 from servogen.scene.constraints import (
     Constraint,
@@ -60,9 +60,15 @@ class Scene:
         given = self.constraints
         if isinstance(given, Nonholonomic | Holonomic | ControlsInvolved):
             given = (given,)
+        if not isinstance(given, list | tuple):
+            raise SceneError(f"scene {self.name!r}: constraints must be a list; got {type(given).__name__}")
         object.__setattr__(self, "constraints", tuple(given))
-        object.__setattr__(self, "parameters", self.parameters or Parameters())
-        object.__setattr__(self, "references", self.references or References())
+        for word, kind in (("parameters", Parameters), ("references", References)):
+            value = kind() if getattr(self, word) is None else getattr(self, word)
+            if not isinstance(value, kind):
+                got = type(value).__name__
+                raise SceneError(f"scene {self.name!r}: {word} must be sg.{kind.__name__}(name=default, ...); got {got}")
+            object.__setattr__(self, word, value)
         if self.y is not None and not (isinstance(self.y, str) and self.y == "input"):
             if isinstance(self.y, str):
                 raise SceneError(f"y={self.y!r}; give None, an SX expression of the inputs, or 'input'")
@@ -144,7 +150,7 @@ def _check_unbuilt(scene: Scene) -> None:
         raise SceneError(f"scene {scene.name!r}: mode={scene.mode!r}; choose 'servo' or 'ideal'")
     if scene.mode == "ideal":
         raise SceneError(
-            f"scene {scene.name!r}: mode='ideal' (Eqs. 13-17) is not built yet; use mode='servo' with a y of your choice"
+            f"scene {scene.name!r}: mode='ideal' (Eqs. 13-17) is not built yet; use mode='servo' and a y of your own"
         )
     if scene.weight is not None:
         raise SceneError(f"scene {scene.name!r}: weight is not built yet; scale tau in G so that the weight is I")
@@ -210,9 +216,12 @@ def _check_names(scene: Scene) -> None:
 
 def _check_symbols(scene: Scene) -> None:
     assert scene.parameters is not None
+    assert scene.references is not None
     mech = scene.mechanism
     owners: dict[int, str] = {}
     named = [("q", mech.q), ("u", mech.u), ("tau", mech.tau)] + ([("t", mech.t)] if mech.t is not None else [])
+    named += [(f"parameter {f.name!r}", f.symbol) for f in scene.parameters]
+    named += [(f"reference {f.name!r}", f.symbol) for f in scene.references]
     for owner, symbols in named:
         for s in symbols.nonzeros():
             if s.__hash__() in owners:
@@ -236,6 +245,9 @@ def _check_operations(scene: Scene) -> None:
                 f"{what}: operation {name} (CasADi id {casadi_id}) is not supported; "
                 "express it by supported ones, or add a row to ir/ops.py"
             )
+        for number in constants(expression):
+            if not np.isfinite(number):
+                raise SceneError(f"{what} holds the constant {number}; give finite numbers")
 
 
 def _check_theta_of_parameters(scene: Scene) -> None:
@@ -260,6 +272,9 @@ def _check_theta_of_parameters(scene: Scene) -> None:
 def _check_domain(scene: Scene) -> None:
     if scene.domain is None or callable(scene.domain):
         return
+    if not isinstance(scene.domain, Mapping):
+        got = type(scene.domain).__name__
+        raise SceneError(f'domain is a {got}; give {{"q": (lo, hi), ...}}, or a function of a numpy Generator')
     sizes = {f.name: f.size for f in scene.input_fields()} | {"tau": scene.controls, "t": 1}
     for name, limits in scene.domain.items():
         if name not in sizes:

@@ -43,3 +43,15 @@ scene = sg.Scene(
     references=ref,
     domain={"q": (-3.2, 3.2), "u": (-4.0, 4.0), "E_0": (0.0, 10.0)},
 )
+
+# The paper gives no start. From this one, chosen among random ones, E follows E(0) exp(-t) for long before the
+# mechanism comes to rest with potential energy left, where no torque has power: the run ends there.
+simulation = sg.Simulation(
+    start={"q": [1.6, -1.8], "u": [-1.6, 0.8]},
+    duration=5.0,
+    step=2.5e-4,
+    outputs={"E": E, "K/E": K / E},
+    decay={"E": (-1.0, ref.E_0)},
+    stop={"K/E < 1e-3": K - 1e-3 * E},
+    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J"},
+)

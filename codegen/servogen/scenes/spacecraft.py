@@ -37,4 +37,20 @@ def stabilisation(name: str, smooth: bool, Theta: float = 0.0) -> sg.Scene:
     )
 
 
+def stabilisation_run(scene: sg.Scene, duration: float, step: float) -> sg.Simulation:
+    """The paper's start (Section 6); its tau_3(0) = -0.3376 is rounded, and projected onto phi = 0 first."""
+    par = scene.parameters
+    assert par is not None
+    inertia = ca.vertcat(par.I_1, par.I_2, par.I_3)
+    return sg.Simulation(
+        start={"q": [0.0, 0.0, 0.0], "u": [0.1, 0.1, 0.1], "tau": [0.1, 0.1, -0.3376]},
+        duration=duration,
+        step=step,
+        outputs={"K": ca.dot(inertia, scene.mechanism.u**2) / 2},
+        decay={"K": (-par.a, 0.0)},
+        units={"q": "rad", "u": "rad/s", "tau": "rad/s^2", "phi": "W", "K": "J"},
+    )
+
+
 scene = stabilisation("spacecraft", smooth=False)
+simulation = stabilisation_run(scene, duration=6.0, step=1e-4)  # beyond, a period of the chatter is too short to follow

@@ -31,12 +31,17 @@ class ReferenceTwin(Twin):
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
         self._plan = plan_solver(scene.rows, scene.controls, scalar, scene.solver)
         self._function, self._names = _jacobians(scene)
+        self._mass = _mass_of_parameters(scene)
         super().__init__(scene, scalar)
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
         if not finite(rounded.values()):
             return Status.NONFINITE
+        if self._mass is not None:
+            Q = self._mass(*(ca.DM(rounded[f.name]) for f in self.scene.parameters or ()))
+            if _singular(np.array(Q, dtype=float), EPSILON[self.scalar]):
+                return Status.SINGULAR_MASS
         self._parameters = rounded
         return Status.OK
 
@@ -55,7 +60,7 @@ class ReferenceTwin(Twin):
             return Status.SINGULAR_MASS, {}
         with np.errstate(all="ignore"):
             result = self._textbook(given, rounded)
-        if not finite(result.values()):
+        if not finite(self._round(v) for v in result.values()):
             return Status.OVERFLOW, {}
         return Status.OK, result
 
@@ -149,6 +154,14 @@ def _singular(Q: FloatArray, epsilon: float) -> bool:
         return True
     sigma = np.linalg.svd(scaled, compute_uv=False)
     return bool(sigma[-1] <= len(Q) * epsilon * sigma[0])
+
+
+def _mass_of_parameters(scene: Scene) -> Any:
+    """Q as a function of the parameters where it depends on nothing else: then prepare judges it. None otherwise."""
+    Q = scene.mechanism.Q
+    if any(ca.depends_on(Q, f.symbol) for f in scene.input_fields()):
+        return None
+    return ca.Function("mass", [f.symbol for f in scene.parameters or ()], [Q])
 
 
 def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:

@@ -118,7 +118,7 @@ def _svd(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _power_of_two(x: FloatArray | float) -> FloatArray:
     """The largest power of two at or below x > 0."""
-    return np.ldexp(1.0, np.frexp(x)[1] - 1)
+    return np.asarray(np.ldexp(1.0, np.frexp(x)[1] - 1))
 
 
 def _representable(values: FloatArray, plan: SolverPlan) -> bool:

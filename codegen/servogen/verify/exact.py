@@ -23,7 +23,7 @@ def rational(A: FloatArray) -> Matrix:
 
 
 def pinv_full(S: Matrix) -> Matrix:
-    """S+ of full row or full column rank: S^T (S S^T)^-1 or (S^T S)^-1 S^T. Raises ZeroDivisionError if it has neither."""
+    """S+ of full rank: S^T (S S^T)^-1 if wide, (S^T S)^-1 S^T if tall. Raises ZeroDivisionError below full rank."""
     T = S.transpose()
     if S.nrows() <= S.ncols():
         return T * (S * T).inv()
@@ -31,7 +31,7 @@ def pinv_full(S: Matrix) -> Matrix:
 
 
 def pinv(S: Matrix) -> Matrix:
-    """S+ of any S, through S = B C with full-rank B and C: C+ B+ (MacDuffee; C the nonzero rows of the echelon form)."""
+    """S+ of any S, through S = B C of full rank: C+ B+ (MacDuffee; C the nonzero rows of the echelon form)."""
     echelon, rank = S.rref()
     if rank == 0:
         return flint.fmpq_mat(S.ncols(), S.nrows())

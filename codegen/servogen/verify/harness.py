@@ -35,10 +35,10 @@ class OutputResult:
     """What the harness measured for one output of one entry point.
 
     compared: values held against the truth, of which `outside` were beyond their tolerance. max_ulps: largest error in
-    ulps of the output's scale. max_ratio: largest error / tolerance, at vector `worst`, element `element` (flat).
-    status_mismatches, rank_mismatches: per entry point. touched: values changed under a negative status. overruns:
-    guard words changed. drift: values that differed when the same vector was run again. hash: 64-bit FNV-1a over the
-    statuses and the bits of all answers. problem: empty if passed, else what is wrong.
+    ulps of the output's scale, over the domain's vectors. max_ratio: largest error / tolerance, at vector `worst`,
+    element `element` (flat). status_mismatches, rank_mismatches: per entry point. touched: values changed under a
+    negative status. overruns: guard words changed. drift: values that differed when the same vector was run again.
+    hash: 64-bit FNV-1a over the statuses and the bits of all answers. problem: empty if passed, else what is wrong.
     """
 
     entry: str

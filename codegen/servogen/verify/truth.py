@@ -183,7 +183,7 @@ class Truth:
         entries = [self._entry_vectors(e.name, tuple(r.name for r in e.kernel.results), bool(e.kernel.guards))
                    for e in self.module.entry_points]  # fmt: skip
         entries += [self._pinv_vectors(), self._control_vectors("control", self.answers)]
-        if self.control.projection is not None:
+        if self.control.projection_cap == 1:
             projected, stepped = self._projections()
             entries += [
                 self._control_vectors("project", projected),
@@ -209,7 +209,7 @@ class Truth:
             bounds = np.stack([p.bounds[name] for p in self.points])
             values, tolerance = _comparable(self.expected(name), bounds, self.scalar)
             outputs.append(OutputVectors.of(name, values, tolerance, self.scale(name), self.scalar))
-        return EntryVectors(entry, "plain", tuple(outputs), status)
+        return EntryVectors(entry, "plain", tuple(outputs), status, domain=self.drawn)
 
     def _pinv_vectors(self) -> EntryVectors:
         """S+ of the matrices the scalar's own evaluation gives, against exact rationals."""
@@ -235,7 +235,9 @@ class Truth:
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
         output = OutputVectors.of(f"{matrix}_pinv", expected, limits, scale, self.scalar)
-        return EntryVectors("pinv", "pinv", (output,), np.array(status), np.array(rank), arguments={"S": matrices})
+        given = {"S": matrices}
+        ranks = np.array(rank)
+        return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
 
     def _control_vectors(self, entry: str, answers: list[Answer], dt: float | None = None) -> EntryVectors:
         values = np.array([a.tau for a in answers], dtype=object)
@@ -247,10 +249,10 @@ class Truth:
         status = np.array([a.status for a in answers])
         rank = np.array([a.rank if a.status != ANY_ANSWER else ANY_RANK for a in answers])
         call: Any = entry
-        return EntryVectors(entry, call, (output,), status, rank, dt)
+        return EntryVectors(entry, call, (output,), status, rank, dt, domain=self.drawn)
 
     def _projections(self) -> tuple[list[Answer], list[Answer]]:
-        """Expected answers of project and step; nonlinear phi (many iterations) is left to the reference."""
+        """Expected answers of project and step where phi is affine in tau: A, and so the projection, is exact."""
         projected = [self._projected(k, self.points[k], self.inputs["tau"][k], 0.0) for k in range(self.count)]
         dt = float(self.dtype(STEP_DT))
         moved = np.array([_moved(self.inputs["tau"][k], a, dt) for k, a in enumerate(self.answers)], dtype=object)
@@ -276,8 +278,6 @@ class Truth:
             status = Status.OVERFLOW
         if status < 0:
             return Answer([mp.mpf(0)] * l, np.inf, status, 0)
-        if self.control.projection_cap > 1:
-            return Answer([mp.mpf(0)] * l, np.inf, ANY_ANSWER, ANY_RANK)
         values = point.values | {"phi": [-v for v in point.values["phi"]]}
         rounded = point.rounded | {"phi": -point.rounded["phi"]}
         move = self._solved(k, Point(values, point.bounds, rounded, point.status), "A", "phi", status, None)

@@ -71,6 +71,8 @@ class EntryVectors:
         solve    (S, z, y, output, info), with S, z and perhaps y in `arguments`; without, y is NULL
     status: (N,) expected status, or ANY_ANSWER; None stands for ANY_ANSWER throughout.
     rank: (N,) expected rank, or ANY_RANK; None compares none. dt: in seconds, for step alone.
+    domain: errors are measured in ulps over the first `domain` vectors; those behind them (huge, say) are judged by
+    their tolerance alone. None: over all.
     """
 
     name: str
@@ -80,6 +82,7 @@ class EntryVectors:
     rank: Integers | None = None
     dt: float | None = None
     arguments: Mapping[str, Floats] = field(default_factory=dict)
+    domain: int | None = None
 
     @property
     def count(self) -> int:
@@ -135,7 +138,7 @@ def split(expected: ArrayLike, scalar: Scalar) -> tuple[Floats, Floats]:
 
 
 def take(vectors: VectorSet, rows: ArrayLike) -> VectorSet:
-    """The vectors of the given row numbers alone, in that order (a slice written as np.arange, or one bad vector)."""
+    """The vectors of the given row numbers alone, in that order; all count as of the domain."""
     index = np.asarray(rows, dtype=np.intp)
 
     def pick(array: Any) -> Any:
@@ -147,7 +150,7 @@ def take(vectors: VectorSet, rows: ArrayLike) -> VectorSet:
         )
         arguments = {name: pick(array) for name, array in entry.arguments.items()}
         return dataclasses.replace(
-            entry, outputs=outputs, status=pick(entry.status), rank=pick(entry.rank), arguments=arguments
+            entry, outputs=outputs, status=pick(entry.status), rank=pick(entry.rank), arguments=arguments, domain=None
         )
 
     inputs = {name: pick(array) for name, array in vectors.inputs.items()}
@@ -282,6 +285,7 @@ def _entry(entry: EntryVectors, scalar: Scalar, pool: _Pool) -> dict[str, Any]:
     return {
         "name": entry.name,
         "vectors": entry.count,
+        "domain": entry.count if entry.domain is None else entry.domain,
         "uses_model": entry.uses_model,
         "has_info": entry.call in _WITH_INFO,
         "actuals": ", ".join(_actuals(entry, scalar)),

@@ -1,0 +1,88 @@
+"""Error against the 50-digit truth, and what is answered at the boundary."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+
+from servogen.bench.inputs import Inputs
+from servogen.bench.results import Boundary, Errors, Output
+from servogen.derive.derive import derive
+from servogen.derive.lower import lower
+from servogen.ir.evaluate import DIGITS, evaluate_exactly
+from servogen.results import FloatArray
+from servogen.scene.scene import Scene
+from servogen.scene.solver import EPSILON, Scalar
+
+Truth = dict[Output, list[list[Any]]]
+"""Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""
+
+
+def truth(scene: Scene, inputs: Inputs) -> Truth:
+    """S, z by the program's 50-digit interpreter, and tau by exact elimination with them."""
+    formulation = derive(scene)
+    matrix, right = formulation.system
+    columns = inputs.columns()
+    l = scene.controls  # noqa: E741
+    columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
+    result: Truth = {output: [] for output in Output}
+    for k, exact in enumerate(evaluate_exactly(lower(formulation), columns)):
+        S, z = exact[matrix], exact[right]
+        y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
+        result[Output.MATRIX].append(S)
+        result[Output.RIGHT].append(z)
+        result[Output.ANSWER].append(_minimum_norm(S, z, y))
+    return result
+
+
+def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
+    """y + S+ (z - S y) for S of full row or column rank; NaN where it has neither."""
+    with mp.workdps(DIGITS):
+        m, l = len(right), len(free)  # noqa: E741
+        if not all(mp.isfinite(x) for x in (*entries, *right, *free)):
+            return [mp.nan] * l
+        S = mp.matrix([entries[i * l : (i + 1) * l] for i in range(m)])
+        y = mp.matrix(free)
+        rest = mp.matrix(right) - S * y
+        try:
+            move = S.T * mp.lu_solve(S * S.T, rest) if m <= l else mp.lu_solve(S.T * S, S.T * rest)
+        except ZeroDivisionError:
+            return [mp.nan] * l
+        return list(y + move)
+
+
+def judge(values: FloatArray, exact: Sequence[list[Any]], scalar: Scalar) -> Errors:
+    """values: (N, size). A NaN or an infinity is an infinite error; states without a truth are not judged."""
+    worst, scale = [], 0.0
+    for row, true in zip(values, exact, strict=True):
+        if not all(mp.isfinite(x) for x in true):
+            continue
+        worst.append(_error(row, true))
+        scale = max(scale, *(abs(float(x)) for x in true))
+    if not worst:
+        return Errors(float("nan"), float("nan"), scale, EPSILON[scalar], 0, 0)
+    nonfinite = sum(not np.isfinite(e) for e in worst)
+    return Errors(max(worst), float(np.median(worst)), scale, EPSILON[scalar], len(worst), nonfinite)
+
+
+def _error(row: FloatArray, true: list[Any]) -> float:
+    """The worst entry of one state, subtracted to 50 digits."""
+    if len(row) != len(true) or not np.all(np.isfinite(row)):
+        return float("inf")
+    with mp.workdps(DIGITS):
+        return float(max(abs(mp.mpf(float(x)) - t) for x, t in zip(row, true, strict=True)))
+
+
+def count_answers(names: Sequence[str], values: FloatArray, statuses: FloatArray) -> Boundary:
+    """How the boundary states were answered: values (N, size), statuses (N,)."""
+    kinds: dict[str, list[str]] = {kind: [] for kind in ("good", "remarked", "refused", "nonfinite")}
+    for name, row, status in zip(names, values, statuses, strict=True):
+        if status < 0:
+            kinds["refused"].append(name)
+        elif not np.all(np.isfinite(row)):
+            kinds["nonfinite"].append(name)
+        else:
+            kinds["remarked" if status > 0 else "good"].append(name)
+    good, remarked, refused = (len(kinds[kind]) for kind in ("good", "remarked", "refused"))
+    return Boundary(good, remarked, refused, tuple(kinds["nonfinite"]))

@@ -1,0 +1,169 @@
+"""Run time against error: a panel an output, a marker a contender, and the line of those that nobody beats in both."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from servogen.bench.results import LABELS, Bench, Measurement, Output
+
+OURS, THEIRS, PARETO = "#b3261e", "#3b5b7a", "#8a8a8a"
+_DASHES = {"float64": "o", "float32": "s"}
+_LABEL_HEIGHT = 0.052  # of a panel's height, between neighbouring labels
+
+
+def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
+    """Write bench.svg and bench.png into `folder` (which exists); the same bytes for the same bench."""
+    figure = _figure(bench)
+    style = {"svg.hashsalt": "servogen", "svg.fonttype": "path"}
+    paths = folder / "bench.svg", folder / "bench.png"
+    with matplotlib.rc_context(style):
+        figure.savefig(paths[0], metadata={"Date": None, "Creator": "servogen"})
+        figure.savefig(paths[1], dpi=150, metadata={"Software": None})
+    return paths
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Those points of (time, error) that no other beats in one without losing in the other, by rising time."""
+    line: list[tuple[float, float]] = []
+    for point in sorted(points):
+        if not line or point[1] < line[-1][1]:
+            line.append(point)
+    return line
+
+
+def _figure(bench: Bench) -> Figure:
+    outputs = [o for o in Output if any(m.output is o for m in bench.measurements)]
+    figure = Figure(figsize=(5.4 * len(outputs) + 0.6, 6.2))
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(outputs), sharex=True, sharey=True, squeeze=False)[0]
+    low, high = _limits(bench.measurements)
+    for axes, output in zip(panels, outputs, strict=True):
+        rows = [m for m in bench.measurements if m.output is output]
+        _axes(axes, bench, output)
+        axes.set_xlim(*_time_limits(bench.measurements))
+        axes.set_ylim(low, high)
+        _markers(axes, rows, high)
+    panels[0].set_ylabel("largest error, as a part of the output's largest magnitude")
+    figure.suptitle(f"{bench.scene}: run time against error", x=0.012, y=0.985, ha="left", fontsize=14, weight="bold")
+    figure.text(0.012, 0.905, _caption(bench), ha="left", fontsize=9.5, color="#444444")
+    figure.subplots_adjust(left=0.062, right=0.99, top=0.85, bottom=0.1, wspace=0.04)
+    return figure
+
+
+def _caption(bench: Bench) -> str:
+    return (
+        f"{bench.compiler}, {' '.join(bench.flags) or 'no flags'}; {bench.states} states, drawn with seed {bench.seed}; "
+        f"median of batches of calls at different states, all contenders in turn, {bench.rounds} rounds. "
+        "Lower left is better."
+    )
+
+
+def _axes(axes: Any, bench: Bench, output: Output) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_title(_title(bench, output), loc="left", fontsize=11)
+    axes.set_xlabel("time per call, ns")
+    axes.grid(True, which="major", color="#e6e6e6", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for epsilon, name in ((2.0**-52, "double"), (2.0**-23, "float")):
+        axes.axhline(epsilon, color="#bbbbbb", linewidth=0.8, linestyle=":")
+        axes.annotate(
+            f"epsilon of {name}", (0.995, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
+            textcoords="offset points", ha="right", va="bottom", fontsize=7.5, color="#888888",
+        )  # fmt: skip
+
+
+def _title(bench: Bench, output: Output) -> str:
+    words = {
+        Output.MATRIX: "the constraints' matrix",
+        Output.RIGHT: "the right side",
+        Output.ANSWER: "the answer, with everything before it",
+    }
+    return f"{LABELS[bench.kind][output]}: {words[output]}"
+
+
+def _markers(axes: Any, rows: Sequence[Measurement], top: float) -> None:
+    """Markers, the Pareto line, and labels; infinite errors stand at the upper edge."""
+    points = [(m.times.median, m.errors.largest_relative) for m in rows]
+    line = pareto([p for p in points if 0 < p[1] < float("inf")])
+    axes.plot(*zip(*line, strict=True) if line else ([], []), color=PARETO, linewidth=1, zorder=2)
+    bottom = axes.get_ylim()[0]
+    placed = [(x, min(max(y, bottom * 1.5), top / 1.5)) for x, y in points]
+    for m, (x, y) in zip(rows, placed, strict=True):
+        colour = OURS if m.ours else THEIRS
+        axes.plot([x], [y], _DASHES[m.scalar], color=colour, markersize=8 if m.ours else 7, zorder=4)
+    _labels(axes, rows, placed)
+
+
+def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float, float]]) -> None:
+    """Beside the markers, where need be moved up or down and joined to them by a line."""
+    to_panel = axes.transScale + axes.transLimits
+    spots = [tuple(to_panel.transform(p)) for p in placed]
+    heights = _spread(spots)
+    for m, (x, y), height in zip(rows, spots, heights, strict=True):
+        left = x > 0.62
+        colour = OURS if m.ours else THEIRS
+        axes.annotate(
+            _label(m), (x, y), xycoords="axes fraction", xytext=(x + (-0.045 if left else 0.045), height),
+            textcoords="axes fraction", ha="right" if left else "left", va="center", fontsize=8.5, color=colour,
+            weight="bold" if m.ours else "normal",
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1, "shrinkB": 4},
+        )  # fmt: skip
+
+
+def _label(m: Measurement) -> str:
+    error = "not finite" if m.errors.nonfinite else f"{m.errors.largest_ulps:.1f} ulp"
+    return f"{m.contender}  {_time(m.times.median)}, {error}"
+
+
+def _time(nanoseconds: float) -> str:
+    return f"{nanoseconds:.3g} ns" if nanoseconds < 999.5 else f"{nanoseconds / 1000:.3g} us"
+
+
+def _spread(spots: Sequence[tuple[float, float]]) -> list[float]:
+    """Heights of the labels: each at its marker's, then pushed apart, group by group (left and right apart)."""
+    heights = [y for _, y in spots]
+    for side in (False, True):
+        chosen = sorted((k for k, s in enumerate(spots) if (s[0] > 0.62) is side), key=lambda k: (spots[k][1], k))
+        groups: list[list[int]] = []
+        for k in chosen:
+            groups.append([k])
+            while len(groups) > 1 and _bottom(groups[-1], spots) < _top(groups[-2], spots):
+                groups[-2:] = [groups[-2] + groups[-1]]
+        for group in groups:
+            for k, height in zip(group, _stack(group, spots), strict=True):
+                heights[k] = height
+    return heights
+
+
+def _stack(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> list[float]:
+    """Evenly spaced around the group's centre, within the panel."""
+    span = (len(group) - 1) * _LABEL_HEIGHT
+    centre = sum(spots[k][1] for k in group) / len(group)
+    start = min(max(centre - span / 2, 0.03), 0.97 - span)
+    return [start + i * _LABEL_HEIGHT for i in range(len(group))]
+
+
+def _bottom(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> float:
+    return _stack(group, spots)[0] - _LABEL_HEIGHT / 2
+
+
+def _top(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> float:
+    return _stack(group, spots)[-1] + _LABEL_HEIGHT / 2
+
+
+def _limits(rows: Sequence[Measurement]) -> tuple[float, float]:
+    """Of the error axis: the finite errors with a margin, and always the two epsilons."""
+    finite = [e for e in (m.errors.largest_relative for m in rows) if 0 < e < float("inf")]
+    return min([2.0**-52, *finite]) / 30, max([2.0**-23, *finite]) * 30
+
+
+def _time_limits(rows: Sequence[Measurement]) -> tuple[float, float]:
+    times = [m.times.median for m in rows]
+    return min(times) / 1.6, max(times) * 1.6

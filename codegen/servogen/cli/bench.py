@@ -1,0 +1,115 @@
+"""servogen bench: run time against error, ours beside what one would otherwise use."""
+
+from pathlib import Path
+
+import click
+
+from servogen.bench.plot import draw
+from servogen.bench.results import Bench, Instructions, Measurement, Output
+from servogen.bench.run import ROUNDS, bench
+from servogen.cli.console import FAILED, emit_json, err, json_option, out, progress, table, to_jsonable
+from servogen.scene.loading import load_scene
+
+HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
+          "NaN", "refused", "remark", "of")  # fmt: skip
+
+NOTES = (
+    "ns      of a call: median, best and 99.9th percentile of batches; ratio to the baseline in the same rounds",
+    "ulp     of the output's largest magnitude, in the contender's own number type; abs in the output's unit",
+    "instr   executed by the function called and what it calls, without and with the maths library",
+    "NaN     answers that are not finite and say nothing, of the boundary states (rest, tiny, huge, quarter turns) with",
+    "        finite inputs; refused: by a negative status; remark: answered, with a positive status",
+)
+
+
+@click.command("bench")
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
+@click.option(
+    "--out", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("bench"), show_default=True,
+    help="Folder for plots and results, in DIR/<scene>/.", metavar="DIR",
+)  # fmt: skip
+@click.option("--rounds", type=click.IntRange(min=1), default=ROUNDS, show_default=True, help="Turns of each contender.")
+@click.option("--compiler", help="C compiler; default $CC, else cc.")
+@click.option("--flags", default="-O2", show_default=True, help="Flags of the compiler, the same for all.")
+@json_option
+def bench_command(
+    scenes: tuple[str, ...], folder: Path, rounds: int, compiler: str | None, flags: str, as_json: bool
+) -> None:
+    """Run time against error of SCENE's S, z and tau, for servogen and others in one run on the same states.
+
+    Exit code 1 if code of ours hands out a NaN or an infinity without a word.
+    """
+    loaded = [load_scene(spec) for spec in scenes]
+    results = []
+    for scene in loaded:
+        with progress(as_json) as advance:
+            result = bench(scene, rounds=rounds, compiler=compiler, flags=tuple(flags.split()), progress=advance)
+        results.append(result)
+        paths = write(result, folder / result.scene)
+        if not as_json:
+            _show(result, paths)
+    if as_json:
+        emit_json([document(result) for result in results])
+    if any(_silent(m) for result in results for m in result.measurements if m.ours):
+        raise click.exceptions.Exit(FAILED)
+
+
+def document(result: Bench) -> dict[str, object]:
+    """results.json: the bench, and the derived figures of its measurements."""
+    plain: dict[str, object] = to_jsonable(result)
+    rows = []
+    for m in result.measurements:
+        derived = {"largest_ulps": m.errors.largest_ulps, "median_ulps": m.errors.median_ulps}
+        rows.append({**to_jsonable(m), "errors": to_jsonable(m.errors) | to_jsonable(derived)})
+    return plain | {"measurements": rows}
+
+
+def write(result: Bench, folder: Path) -> tuple[Path, ...]:
+    """results.json, bench.svg and bench.png in `folder`, made if need be."""
+    import json
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "results.json"
+    path.write_text(json.dumps(document(result), indent=2) + "\n")
+    return (path, *draw(result, folder))
+
+
+def _silent(m: Measurement) -> bool:
+    return m.errors.nonfinite > 0 or m.boundary.nonfinite > 0
+
+
+def _show(result: Bench, paths: tuple[Path, ...]) -> None:
+    title = (
+        f"{result.scene}: {result.compiler}, {' '.join(result.flags)}; {result.states} states, "
+        f"{result.rounds} rounds; ratio to {result.baseline}"
+    )
+    rows = [_row(m) for output in Output for m in result.measurements if m.output is output]
+    table(title, HEADER, rows, right=range(2, len(HEADER)))
+    for note in NOTES:
+        out.print(f"  {note}", markup=False, soft_wrap=True)
+    for path in paths:
+        out.print(f"  wrote    {path}", markup=False, soft_wrap=True)
+    for remark in result.remarks:
+        err.print(f"[yellow]skipped:[/] {remark}", soft_wrap=True)
+
+
+def _row(m: Measurement) -> tuple[object, ...]:
+    edge = m.boundary
+    return (
+        m.label,
+        m.contender,
+        *(f"{t:.3g}" if t < 1000 else f"{t:.0f}" for t in (m.times.median, m.times.best, m.times.p999)),
+        f"{m.times.ratio:.2f}" if m.times.ratio < 100 else f"{m.times.ratio:.0f}",
+        f"{m.errors.largest_ulps:.2f}",
+        f"{m.errors.median_ulps:.2f}",
+        f"{m.errors.largest:.1e}",
+        *_instructions(m.instructions),
+        edge.nonfinite,
+        edge.refused,
+        edge.remarked,
+        edge.states,
+    )
+
+
+def _instructions(counted: Instructions | None) -> tuple[str, str]:
+    return ("", "") if counted is None else (f"{counted.outside_libm:.0f}", f"{counted.total:.0f}")

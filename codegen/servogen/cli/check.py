@@ -1,0 +1,91 @@
+"""servogen check: the cross-check."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import click
+
+from servogen.cli.console import FAILED, GOOD, emit_json, err, json_option, out, progress, table
+from servogen.errors import SceneError
+from servogen.scene.loading import builtin_names, load_scene
+from servogen.verify.check import STATES, CheckReport, OutputCheck, check
+from servogen.verify.harness import targets
+from servogen.verify.truth import BAR
+
+
+@click.command("check")
+@click.argument("scenes", nargs=-1, metavar="SCENE...")
+@click.option("--all", "every", is_flag=True, help="All built-in scenes.")
+@click.option("--target", type=click.Choice(targets()), default="host", show_default=True, help="Where the C runs.")
+@click.option("--states", type=click.IntRange(1), default=STATES, show_default=True, help="States drawn a scene.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the states drawn.")
+@json_option
+def check_command(scenes: tuple[str, ...], every: bool, target: str, states: int, seed: int, as_json: bool) -> None:
+    """Cross-check the generated C of SCENE... in float64 and float32 against reference and truth.
+
+    On the host gcc and clang build it; on a board it runs in the emulator and is also compared with the host.
+    """
+    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
+    if not names:
+        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    with progress(as_json) as advance:
+        report = check([load_scene(n) for n in names], target, states, seed, advance)
+    if as_json:
+        emit_json({"passed": report.passed, "report": report})
+    else:
+        show(report)
+    raise click.exceptions.Exit(GOOD if report.passed else FAILED)
+
+
+def show(report: CheckReport) -> None:
+    """The report as tables."""
+    rows = [_row(same) for same in _alike(report.outputs)]
+    table(
+        f"Against the 50-digit truth: {report.states} states of the domain and {len(report.boundary)} boundary states",
+        ("scene", "scalar", "built by", "function", "output", "values", "ulps", "reference", "of bound", ""),
+        rows,
+        right=(5, 6, 7, 8),
+    )
+    out.print(
+        "  ulps: largest error over the domain in units in the last place of the output's largest magnitude\n"
+        "  reference: the same of the textbook formulas in numpy, float64 rounded to the scalar at the end\n"
+        "  built by: two names where all bits agree\n"
+        "  of bound: largest error, boundary states included, over the rounding bound of the operations; 1 fails\n",
+        markup=False,
+    )
+    table(
+        f"tau against the exact solution of the code's own system, in u kappa (|tau| + |y|); the bar is {BAR:g}",
+        ("scene", "scalar", "built by", "systems", "error", ""),
+        [(s.scene, s.scalar, s.compiler, s.solved, f"{s.max_error:.3g}", "ok" if s.passed else "FAILED")
+         for s in report.solves],  # fmt: skip
+        right=(3, 4),
+    )
+    if report.differences:
+        table(
+            "Host against board, value by value",
+            ("scene", "scalar", "function", "output", "values", "not bit-equal", "largest, ulps", "statuses differ"),
+            [(d.scene, d.scalar, d.entry, d.output, d.compared, d.different, f"{d.max_ulps:.3g}", d.statuses_differ)
+             for d in report.differences],  # fmt: skip
+            right=(4, 5, 6, 7),
+        )
+    for text in report.skipped:
+        err.print(f"[bold yellow]SKIPPED:[/] {text}", soft_wrap=True)
+    for text in report.problems:
+        err.print(f"[bold red]FAILED:[/] {text}", soft_wrap=True)
+    out.print("[bold green]check passed[/]" if report.passed else "[bold red]check failed[/]")
+
+
+def _alike(outputs: Sequence[OutputCheck]) -> list[list[OutputCheck]]:
+    """Outputs whose figures and bits agree between targets, together: one row each."""
+    groups: dict[OutputCheck, list[OutputCheck]] = {}
+    for o in outputs:
+        groups.setdefault(dataclasses.replace(o, target=""), []).append(o)
+    return list(groups.values())
+
+
+def _row(same: list[OutputCheck]) -> tuple[object, ...]:
+    o = same[0]
+    reference = "" if o.reference_ulps is None else f"{o.reference_ulps:.3g}"
+    targets = ", ".join(x.target for x in same)
+    figures = (o.compared, f"{o.max_ulps:.3g}", reference, f"{o.max_ratio:.3g}")
+    return (o.scene, o.scalar, targets, o.entry, o.output, *figures, o.problem or "ok")

@@ -1,0 +1,271 @@
+"""The closed loop in generated C, compiled on this machine: controller and plant in one library, called in chunks."""
+
+import ctypes as ct
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.errors import SceneError
+from servogen.results import FloatArray, Status
+from servogen.scene.scene import Scene
+from servogen.scene.solver import EPSILON, Scalar
+from servogen.simulate.ideal import ideal_decay
+from servogen.simulate.simulation import Simulation, check_simulation, known_symbols, sized, start_values
+from servogen.simulate.sources import LoopSources, write_loop
+from servogen.simulate.trajectory import Reason, Stop, Trajectory
+from servogen.twins.compiled import compile_library
+
+METHODS = ("rk4",)
+"""The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
+
+HOLD_SUBSTEPS = 4
+"""Runge-Kutta steps between two ticks of a sampling controller: their error is far below that of the hold."""
+
+MOST_STEPS = 5_000_000
+_CHUNK = 4096
+_REASONS: dict[int, Reason] = {
+    1: "finished",
+    2: "event",
+    3: "controller",
+    4: "plant",
+    5: "stop expression",
+}
+
+Progress = Callable[[int, int], None]
+
+
+def simulate(
+    scene: Scene,
+    simulation: Simulation | None = None,
+    *,
+    start: Mapping[str, Any] | None = None,
+    duration: float | None = None,
+    step: float | None = None,
+    scalar: Scalar = "float64",
+    references: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    hold: bool = False,
+    project: bool = True,
+) -> Trajectory:
+    """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
+    loop = ClosedLoop(scene, simulation, scalar)
+    return loop.run(
+        start=start, duration=duration, step=step, references=references, parameters=parameters, hold=hold, project=project
+    )
+
+
+class ClosedLoop:
+    """A scene's controller and plant, both generated C, compiled together; run it as often as you like.
+
+    Raises SceneError for a simulation that does not fit the scene, ToolMissing without a C compiler.
+    """
+
+    def __init__(
+        self, scene: Scene, simulation: Simulation | None = None, scalar: Scalar = "float64", compiler: str | None = None
+    ) -> None:
+        if scalar not in EPSILON:
+            raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
+        self.scene = scene
+        self.simulation = simulation or Simulation()
+        self.scalar = scalar
+        check_simulation(scene, self.simulation)
+        with tempfile.TemporaryDirectory(prefix="servogen-loop-") as folder:
+            sources = write_loop(scene, self.simulation, Path(folder), scalar)
+            self._library = _compile(sources, scalar, compiler)
+        self._prefix = sources.controller.prefix
+        self._given = sources.given
+
+    def run(
+        self,
+        *,
+        start: Mapping[str, Any] | None = None,
+        duration: float | None = None,
+        step: float | None = None,
+        references: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        hold: bool = False,
+        project: bool = True,
+        progress: Progress | None = None,
+    ) -> Trajectory:
+        """Integrate from t = 0 by fixed steps of the classical Runge-Kutta method.
+
+        start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
+        shortened so that it divides the duration. references: y and references by name, constant over the run.
+        hold: the controller has one tick a step (`control`, or `step(dt)`) and tau is held in between, as in firmware;
+        otherwise it is called in every stage. project: controls-involved scenes first take the nearest tau with
+        phi = 0. progress: called with (steps done, steps) from time to time.
+        """
+        duration, step, steps = self._grid(duration, step)
+        inputs = start_values(self.scene, self.simulation, {**(start or {}), **(references or {})})
+        values = self._parameters(parameters or {})
+        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, progress)
+        return self._trajectory(rows, marks, stop, inputs, values, step, hold)
+
+    def _grid(self, duration: float | None, step: float | None) -> tuple[float, float, int]:
+        duration = self.simulation.duration if duration is None else float(duration)
+        step = self.simulation.step if step is None else float(step)
+        for name, value in (("duration", duration), ("step", step)):
+            if not (math.isfinite(value) and value > 0):
+                raise SceneError(f"{name} = {value}; give a positive number of seconds")
+        steps = max(1, math.ceil(duration / step * (1 - 1e-12)))
+        if steps > MOST_STEPS:
+            raise SceneError(f"duration {duration} s in steps of {step} s are {steps} steps; at most {MOST_STEPS}")
+        return duration, duration / steps, steps
+
+    def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
+        assert self.scene.parameters is not None
+        fields = {f.name: f for f in self.scene.parameters}
+        for name in given:
+            if name not in fields:
+                raise SceneError(f"no parameter {name!r}; there are {', '.join(fields) or 'none'}")
+        return {n: sized(given.get(n, f.default), f.size, f"parameter {n}") for n, f in fields.items()}
+
+    def _integrate(
+        self,
+        inputs: dict[str, FloatArray],
+        parameters: dict[str, FloatArray],
+        step: float,
+        steps: int,
+        hold: bool,
+        project: bool,
+        progress: Progress | None,
+    ) -> tuple[FloatArray, Any, Stop]:
+        sizes = self._sizes()
+        dtype = np.dtype(self.scalar)
+        rows = np.zeros((steps + 1, sum(sizes) + 2), dtype)
+        marks = np.zeros((steps + 1, 2), np.int32)
+        record = _Record(*sizes, steps + 1, 0, rows.ctypes.data, marks.ctypes.data)
+        flat = [
+            np.ascontiguousarray(np.concatenate([np.zeros(0), *arrays]), dtype)
+            for arrays in (
+                parameters.values(),
+                *([inputs[name]] for name in ("q", "u", "tau")),
+                (inputs[f.name] for f in self._given),
+            )
+        ]
+        reals = _structs(self.scalar)
+        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, 0, hold, project)
+        run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
+        stop = reals.Stop()
+        sink, user = self._library.sim_keep, ct.byref(record)
+        reason = self._call("begin", run, ct.byref(setup), sink, user)
+        while True:
+            count = _CHUNK if reason == 0 else 0
+            reason = self._call("advance", run, ct.c_uint32(count), sink, user, ct.byref(stop))
+            if progress is not None:
+                progress(record.used - 1, steps)
+            if reason != 0:
+                return rows[: record.used], marks[: record.used], self._stop(stop)
+
+    def _call(self, name: str, *args: Any, restype: Any = ct.c_int) -> Any:
+        function = getattr(self._library, f"{self._prefix}_{name}")
+        function.restype = restype
+        return function(*args)
+
+    def _sizes(self) -> tuple[int, int, int, int]:
+        mech = self.scene.mechanism
+        return mech.q.size1(), mech.u.size1(), self.scene.controls, self.scene.rows
+
+    def _stop(self, stop: Any) -> Stop:
+        reason = _REASONS[stop.reason]
+        if reason == "event":
+            return Stop(reason, float(stop.t), tuple(self.simulation.stop)[stop.detail])
+        return Stop(reason, float(stop.t), "", Status(stop.detail))
+
+    def _trajectory(
+        self,
+        rows: FloatArray,
+        marks: Any,
+        stop: Stop,
+        inputs: dict[str, FloatArray],
+        parameters: dict[str, FloatArray],
+        step: float,
+        hold: bool,
+    ) -> Trajectory:
+        edges = np.cumsum([1, *self._sizes()])
+        t, q, u, tau, constraint, sigma_min = np.split(rows, edges, axis=1)
+        given = {f.name: inputs[f.name] for f in self._given}
+        columns = {"t": t, "q": q, "u": u, "tau": tau} | {
+            n: np.tile(v, (len(t), 1)) for n, v in {**parameters, **given}.items()
+        }
+        outputs = self._evaluate(self.simulation.outputs, columns)
+        first = {n: v[0] for n, v in columns.items()} if len(t) else {}
+        return Trajectory(
+            scene=self.scene.name,
+            kind=self.scene.kind,
+            step=step,
+            hold=hold,
+            t=t[:, 0],
+            q=q,
+            u=u,
+            tau=tau,
+            constraint=constraint,
+            ideal=ideal_decay(self.scene, first, t[:, 0].astype(float)) if first else constraint,
+            status=marks[:, 0],
+            rank=marks[:, 1],
+            sigma_min=sigma_min[:, 0],
+            stop=stop,
+            outputs=outputs,
+            decay=self._decay(outputs, columns),
+            parameters=parameters,
+            inputs=given,
+        )
+
+    def _evaluate(self, expressions: Mapping[str, Any], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """Expressions along the rows, by CasADi's virtual machine: another hand than the generated C."""
+        count = len(columns["t"])
+        if not expressions or count == 0:
+            return {name: np.zeros(count) for name in expressions}
+        symbols = known_symbols(self.scene)
+        function = ca.Function("outputs", [s for _, s in symbols], list(expressions.values()))
+        values = function.map(count)(*(ca.DM(columns[n].astype(float).T) for n, _ in symbols))
+        values = values if isinstance(values, tuple) else (values,)
+        return {n: np.array(v, dtype=float).ravel() for n, v in zip(expressions, values, strict=True)}
+
+    def _decay(self, outputs: dict[str, FloatArray], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """limit + (value(0) - limit) exp(rate t)."""
+        decay = self.simulation.decay
+        rates = self._evaluate({n: rate for n, (rate, _) in decay.items()}, columns)
+        limits = self._evaluate({n: limit for n, (_, limit) in decay.items()}, columns)
+        t = columns["t"][:, 0].astype(float)
+        return {
+            n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay
+        }
+
+
+class _Record(ct.Structure):
+    """sim_record of firmware_sim/simulate/record.h."""
+
+    _fields_ = [
+        *((n, ct.c_int) for n in ("q", "u", "tau", "constraint")),
+        *((n, ct.c_uint32) for n in ("capacity", "used")),
+        ("values", ct.c_void_p),
+        ("marks", ct.c_void_p),
+    ]
+
+
+def _structs(scalar: Scalar) -> Any:
+    """The C structs that hold reals: <prefix>_setup and sim_stop."""
+    real = ct.c_double if scalar == "float64" else ct.c_float
+    arrays = [(n, ct.c_void_p) for n in ("parameters", "q", "u", "tau", "given")]
+    counts = [(n, ct.c_uint32) for n in ("substeps", "steps")]
+    flags = [(n, ct.c_int) for n in ("method", "hold", "project")]
+
+    class Structs:
+        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, ("step", real), *counts, *flags]})
+        Stop = type("Stop", (ct.Structure,), {"_fields_": [("reason", ct.c_int), ("detail", ct.c_int), ("t", real)]})
+
+    return Structs
+
+
+def _compile(sources: LoopSources, scalar: Scalar, compiler: str | None) -> ct.CDLL:
+    """One shared library of all the C."""
+    options = [f"-I{folder}" for folder in sources.include_folders]
+    bits = "64" if scalar == "float64" else "32"
+    files = [str(file) for file in sources.sources]
+    return compile_library(sources.controller, compiler, ("-O2", f"-DSERVOGEN_SCALAR_BITS={bits}", *options, *files))

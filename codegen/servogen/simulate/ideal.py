@@ -1,0 +1,43 @@
+"""What the constraints ought to do: the decay that Theta prescribes, Eqs. (4), (12)."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from servogen.derive.rates import rate
+from servogen.results import FloatArray
+from servogen.scene.constraints import Constraint, Holonomic, companion, expression_of
+from servogen.scene.scene import Scene
+from servogen.simulate.simulation import known_symbols
+
+
+def ideal_decay(scene: Scene, start: dict[str, FloatArray], t: FloatArray) -> FloatArray:
+    """psi (phi) at t (N,), evenly spaced from 0, that starts as the scene does and obeys Theta: (N, m).
+
+    start: every parameter and input at t = 0, by name. Holonomic: psi'' = Theta1 psi' + Theta2 psi; else psi' = Theta psi.
+    """
+    return np.hstack([_one(scene, c, start, t) for c in scene.constraints])
+
+
+def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], t: FloatArray) -> FloatArray:
+    state = expression_of(constraint)
+    if isinstance(constraint, Holonomic):
+        matrix = companion(constraint.Theta1, constraint.Theta2)
+        state = ca.vertcat(state, rate(scene, state, f"constraint {constraint.name!r}: psi'"))
+    else:
+        matrix = constraint.Theta
+    now = _value(scene, state, start).ravel()
+    forward = expm(_value(scene, matrix, start) * (t[1] - t[0] if len(t) > 1 else 0.0))
+    states = np.empty((len(t), len(now)))
+    for k in range(len(t)):
+        states[k] = now
+        now = forward @ now
+    return states[:, : constraint.size]
+
+
+def _value(scene: Scene, expression: Any, start: dict[str, FloatArray]) -> FloatArray:
+    symbols = known_symbols(scene)
+    function = ca.Function("value", [s for _, s in symbols], [ca.densify(expression)])
+    return np.array(function(*(ca.DM(start[n].astype(float)) for n, _ in symbols)), dtype=float)

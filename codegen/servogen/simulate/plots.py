@@ -1,0 +1,187 @@
+"""A trajectory as figures: states, controls, constraints and outputs beside what they ought to be."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from servogen.results import FloatArray
+from servogen.scene.scene import Scene
+from servogen.simulate.simulation import Simulation
+from servogen.simulate.trajectory import Trajectory
+
+_GREEK = frozenset(
+    """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega""".split()
+)
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")  # told apart by all eyes
+_IDEAL = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.2}
+_STYLE = {
+    "font.size": 11,
+    "axes.labelsize": 11,
+    "axes.titlesize": 12,
+    "legend.fontsize": 10,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-3, 4),
+    "svg.hashsalt": "servogen",  # the same bytes for the same figure
+}
+
+Panel = Callable[[Any], None]
+
+
+def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, out: Path) -> tuple[Path, ...]:
+    """states, controls, psi or phi, and outputs (where there are any), each as PNG and SVG in the folder `out`."""
+    units = simulation.units
+    mech = scene.mechanism
+    psi = trajectory.constraint_name
+    figures = {
+        "states": [
+            _curves(trajectory, trajectory.q, _symbol_names(mech.q), _axis("configuration q", units.get("q"))),
+            _curves(trajectory, trajectory.u, _symbol_names(mech.u), _axis("velocity u", units.get("u"))),
+        ],
+        "controls": [_curves(trajectory, trajectory.tau, _symbol_names(mech.tau), _axis("controls τ", units.get("tau")))],
+        psi: _constraint_panels(scene, trajectory, units.get(psi)),
+    }
+    if trajectory.outputs:
+        figures["outputs"] = _output_panels(trajectory, units)
+    files: list[Path] = []
+    for name, panels in figures.items():
+        files += _draw(trajectory, panels, out / name)
+    return tuple(files)
+
+
+def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[Path]:
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(7.2, 0.9 + 2.5 * len(panels)), layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.get_layout_engine().set(h_pad=0.1)  # type: ignore[union-attr]
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for panel, axis in zip(panels, axes, strict=True):
+            panel(axis)
+            _mark_stop(trajectory, axis)
+        axes[-1].set_xlabel("time t [s]")
+        axes[0].set_title(_title(trajectory), loc="left")
+        png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
+        figure.savefig(png, dpi=160, metadata={"Software": None})
+        figure.savefig(svg, metadata={"Date": None, "Creator": None})
+    return [png, svg]
+
+
+def _title(trajectory: Trajectory) -> str:
+    way = f"tau held for {trajectory.step:g} s" if trajectory.hold else f"RK4, h = {trajectory.step:g} s"
+    return f"{trajectory.scene}: generated C in closed loop, {way}"
+
+
+def _mark_stop(trajectory: Trajectory, axis: Any) -> None:
+    """Where the run ended before its time, and why."""
+    if trajectory.stop.reason == "finished":
+        return
+    end = trajectory.stop.t
+    axis.axvline(end, color="#888888", linewidth=1.0)
+    axis.set_xlim(0.0, max(end * 1.12, 1e-9))
+    if axis.get_subplotspec().is_first_row():
+        why = trajectory.stop.event or trajectory.stop.status.name
+        text = f"{why}\nt* = {end:.4g} s"
+        axis.annotate(text, (end, 1.0), (4, -2), xycoords=("data", "axes fraction"), textcoords="offset points",
+                      va="top", fontsize=9, color="#444444")  # fmt: skip
+
+
+def _curves(trajectory: Trajectory, values: FloatArray, names: Sequence[str], label: str) -> Panel:
+    def panel(axis: Any) -> None:
+        for k, name in enumerate(names):
+            axis.plot(trajectory.t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name)
+        axis.set_ylabel(label)
+        _legend(axis, len(names))
+
+    return panel
+
+
+def _constraint_panels(scene: Scene, trajectory: Trajectory, unit: str | None) -> list[Panel]:
+    """One panel a row: the servo-constraint and its prescribed decay."""
+    names = [f"{c.name} {k}" if c.size > 1 else c.name for c in scene.constraints for k in range(c.size)]
+    symbol = "ψ" if trajectory.constraint_name == "psi" else "φ"
+
+    def row(k: int, name: str) -> Panel:
+        def panel(axis: Any) -> None:
+            axis.plot(trajectory.t, trajectory.constraint[:, k], color=_COLOURS[0], label=f"{symbol}, {name}")
+            axis.plot(trajectory.t, trajectory.ideal[:, k], label="prescribed by Θ", **_IDEAL)
+            axis.set_ylabel(_axis(f"constraint {symbol}", unit))
+            _legend(axis, 2)
+
+        return panel
+
+    return [row(k, name) for k, name in enumerate(names)]
+
+
+def _output_panels(trajectory: Trajectory, units: Mapping[str, str]) -> list[Panel]:
+    """Each output beside its ideal decay, and below it how far it is off."""
+    panels: list[Panel] = []
+    for name, values in trajectory.outputs.items():
+        ideal = trajectory.decay.get(name)
+        panels.append(_output(trajectory, name, values, ideal, units.get(name)))
+        if ideal is not None:
+            panels.append(_deviation(trajectory, name, values, ideal))
+    return panels
+
+
+def _output(trajectory: Trajectory, name: str, values: FloatArray, ideal: FloatArray | None, unit: str | None) -> Panel:
+    def panel(axis: Any) -> None:
+        axis.plot(trajectory.t, values, color=_COLOURS[0], label=name)
+        if ideal is not None:
+            axis.plot(trajectory.t, ideal, label="ideal decay", **_IDEAL)
+            _legend(axis, 2)
+        if _spans_decades(values):
+            axis.set_yscale("log")
+        axis.set_ylabel(_axis(name, unit))
+
+    return panel
+
+
+def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: FloatArray) -> Panel:
+    scale = np.maximum(np.abs(ideal), np.finfo(float).tiny)
+    error = np.abs(values - ideal) / scale
+    positive = error > 0
+
+    def panel(axis: Any) -> None:
+        axis.plot(trajectory.t[positive], error[positive], color=_COLOURS[1], linewidth=1.0)
+        axis.set_yscale("log")
+        axis.set_ylabel(f"|{name} − ideal| / ideal")
+
+    return panel
+
+
+def _spans_decades(values: FloatArray) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(len(finite)) and bool(np.min(finite) > 0) and bool(np.max(finite) > 30 * np.min(finite))
+
+
+def _legend(axis: Any, count: int) -> None:
+    if count > 1:
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(count, 4), borderaxespad=0.1, handlelength=1.6)
+
+
+def _axis(name: str, unit: str | None) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _symbol_names(symbols: Any) -> list[str]:
+    """theta_0 as a Greek letter with an index, other names upright."""
+    return [_math(s.name()) for s in symbols.nonzeros()]
+
+
+def _math(name: str) -> str:
+    base, _, index = name.rpartition("_")
+    if not base or not index.isdigit():
+        base, index = name, ""
+    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{base.replace('_', ' ')}}}" if len(base) > 1 else base
+    return f"${text}_{{{index}}}$" if index else f"${text}$"

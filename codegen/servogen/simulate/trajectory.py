@@ -1,0 +1,85 @@
+"""What a run leaves behind."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servogen.results import FloatArray, Status
+
+Reason = Literal["finished", "event", "controller", "plant", "stop expression"]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Why and when a run ended.
+
+    reason: "finished" (whole duration), "event" (a stop expression, named by `event`), or whose negative status ended
+    it: "controller", "plant", "stop expression". t: of the last row, seconds.
+    """
+
+    reason: Reason
+    t: float
+    event: str = ""
+    status: Status = Status.OK
+
+    @property
+    def failed(self) -> bool:
+        """Whether a negative status ended the run."""
+        return self.status < 0
+
+    def __str__(self) -> str:
+        if self.reason == "finished":
+            return f"finished at t = {self.t:.6g} s"
+        if self.reason == "event":
+            return f"stopped by {self.event!r} at t = {self.t:.6g} s"
+        return f"{self.reason}: {self.status.name} after t = {self.t:.6g} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Rows of a run at t (N,), the start first and the instant of the stop last.
+
+    q (N, n_q), u (N, n_u), tau (N, l) as applied at t, constraint (N, m): psi, or phi of a controls-involved scene;
+    ideal (N, m): the same as prescribed by Theta from the start on.
+    status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
+    output ought to be. parameters and inputs (y and references, constant): as used. step: between rows, seconds.
+    """
+
+    scene: str
+    kind: Literal["servo", "controls"]
+    step: float
+    hold: bool
+    t: FloatArray
+    q: FloatArray
+    u: FloatArray
+    tau: FloatArray
+    constraint: FloatArray
+    ideal: FloatArray
+    status: NDArray[np.int32]
+    rank: NDArray[np.int32]
+    sigma_min: FloatArray
+    stop: Stop
+    outputs: dict[str, FloatArray] = field(default_factory=dict)
+    decay: dict[str, FloatArray] = field(default_factory=dict)
+    parameters: dict[str, FloatArray] = field(default_factory=dict)
+    inputs: dict[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def constraint_name(self) -> Literal["psi", "phi"]:
+        return "psi" if self.kind == "servo" else "phi"
+
+    @property
+    def psi(self) -> FloatArray:
+        """psi (N, m) of a servo scene."""
+        if self.kind != "servo":
+            raise AttributeError(f"scene {self.scene!r} has no psi: it is a controls scene; see phi")
+        return self.constraint
+
+    @property
+    def phi(self) -> FloatArray:
+        """phi (N, m) of a controls-involved scene."""
+        if self.kind != "controls":
+            raise AttributeError(f"scene {self.scene!r} has no phi: it is a servo scene; see psi")
+        return self.constraint

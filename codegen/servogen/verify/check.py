@@ -1,0 +1,301 @@
+"""The cross-check: generated C against the textbook reference and the 50-digit truth, on the host or on a board."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servogen.compiler import build
+from servogen.package import Package
+from servogen.results import FloatArray
+from servogen.scene.scene import Scene
+from servogen.scene.solver import EPSILON, Scalar
+from servogen.twins.compiled import CompiledTwin
+from servogen.twins.reference import reference
+from servogen.verify import exact
+from servogen.verify.harness import HarnessResult, OutputResult, require_target, run_harness
+from servogen.verify.tools import ToolMissing
+from servogen.verify.truth import BAR, Truth, states_to_check
+from servogen.verify.vectors import VectorSet, ulp
+
+STATES = 2000
+HOST_COMPILERS = ("gcc", "clang")
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class OutputCheck:
+    """One output of one entry point of one package on one target.
+
+    max_ulps: largest error over the domain in ulps of the output's scale; max_ratio: largest error / tolerance over
+    all states; reference_ulps: the same error of the textbook reference; problem: empty if passed.
+    """
+
+    scene: str
+    scalar: str
+    target: str
+    entry: str
+    output: str
+    compared: int
+    max_ulps: float
+    reference_ulps: float | None
+    max_ratio: float
+    hash: str
+    problem: str
+
+
+@dataclass(frozen=True)
+class SolveCheck:
+    """tau of the generated C against the exact solution of the S, z, y it computed itself.
+
+    max_error: largest |tau - exact| / (u kappa(S) (|tau| + |y|)); the bar is BAR.
+    """
+
+    scene: str
+    scalar: str
+    compiler: str
+    solved: int
+    max_error: float
+
+    @property
+    def passed(self) -> bool:
+        return self.solved > 0 and self.max_error <= BAR
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Largest difference between host and board, in ulps of the output's scale over the domain; 0: the same bits."""
+
+    scene: str
+    scalar: str
+    entry: str
+    output: str
+    compared: int
+    different: int
+    max_ulps: float
+    statuses_differ: int
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All figures of a check; `skipped` says what this machine lacks, with the command that installs it."""
+
+    states: int
+    boundary: tuple[str, ...]
+    outputs: tuple[OutputCheck, ...]
+    solves: tuple[SolveCheck, ...]
+    differences: tuple[Difference, ...]
+    problems: tuple[str, ...]
+    skipped: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Something was checked, and all of it was right."""
+        return bool(self.outputs) and not self.problems
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """One package with its truth and vectors."""
+
+    scene: Scene
+    package: Package
+    truth: Truth
+    vectors: VectorSet
+
+    @property
+    def scalar(self) -> Scalar:
+        return self.package.module.target.scalar
+
+
+def check(
+    scenes: Sequence[Scene],
+    target: str = "host",
+    states: int = STATES,
+    seed: int = 0,
+    progress: Progress = lambda done, total, text: None,
+) -> CheckReport:
+    """Cross-check scenes in both scalars: on the host under gcc and clang, or on a board against the host.
+
+    Raises ToolMissing where the target has no compiler or emulator here.
+    """
+    compilers, skipped = _host_compilers()
+    if target != "host":
+        require_target(target)
+        compilers = compilers[:1]
+    steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + (target != "host"))
+    with tempfile.TemporaryDirectory(prefix="servogen-check-") as folder:
+        cases = [_prepare(scene, scalar, Path(folder), states, seed, steps) for scene in scenes for scalar in EPSILON]
+        runs = {}
+        for compiler in compilers:
+            steps.next(f"compiling and running with {compiler}")
+            runs[compiler] = _run(cases, "host", compiler, Path(folder) / compiler, target != "host")
+        if target != "host":
+            steps.next(f"running on {target}")
+            runs[target] = _run(cases, target, "gcc", Path(folder) / target, dump=True)
+        references = [_reference_ulps(case) for case in cases]
+        outputs = [
+            _output_check(case, name, o, ulps)
+            for name, results in runs.items()
+            for case, ulps, result in zip(cases, references, results, strict=True)
+            for o in result.outputs
+        ]
+        solves = [_solve_check(case, compiler, steps) for compiler in compilers for case in cases]
+        differences: list[Difference] = []
+        if target != "host":
+            for case, here, there in zip(cases, runs[compilers[0]], runs[target], strict=True):
+                differences += _differences(case, here, there)
+    problems = [f"{r.prefix} ({name}): {p}" for name, results in runs.items() for r in results for p in r.problems]
+    problems += [
+        f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} u kappa (|tau| + |y|), the bar is {BAR:g}"
+        for s in solves
+        if not s.passed
+    ]
+    boundary = tuple(dict.fromkeys(name for scene in scenes for name in states_to_check(scene, 0)[1]))
+    return CheckReport(
+        states, boundary, tuple(outputs), tuple(solves), tuple(differences), tuple(problems), tuple(skipped)
+    )
+
+
+class _Steps:
+    """Counts the steps of a check for the progress bar."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def next(self, text: str) -> None:
+        self._progress(self._done, self._total, text)
+        self._done += 1
+
+
+def _host_compilers() -> tuple[list[str], list[str]]:
+    """The compilers that are here, and what to install for the others. ToolMissing where there is none."""
+    found, missing = [], []
+    for compiler in HOST_COMPILERS:
+        try:
+            require_target("host", compiler)  # type: ignore[arg-type]
+            found.append(compiler)
+        except ToolMissing as problem:
+            missing.append(str(problem))
+    if not found:
+        raise ToolMissing(missing[0])
+    return found, missing
+
+
+def _prepare(scene: Scene, scalar: Scalar, folder: Path, states: int, seed: int, steps: _Steps) -> _Case:
+    steps.next(f"{scene.name} {scalar}: 50-digit truth at {states} states")
+    package = build(scene, folder / f"{scene.name}-{scalar}", scalar)
+    truth = Truth(scene, package.module, states_to_check(scene, states, seed)[0], states)
+    return _Case(scene, package, truth, truth.vector_set())
+
+
+def _run(cases: list[_Case], target: str, compiler: Any, folder: Path, dump: bool = False) -> list[HarnessResult]:
+    vectors = {case.package.prefix: case.vectors for case in cases}
+    packages = [case.package.path for case in cases]
+    return run_harness(packages, vectors, target=target, compiler=compiler, build_dir=folder, dump=dump)
+
+
+def _output_check(case: _Case, target: str, o: OutputResult, references: dict[str, float]) -> OutputCheck:
+    return OutputCheck(
+        case.scene.name,
+        case.scalar,
+        target,
+        o.entry,
+        o.output,
+        o.compared,
+        o.max_ulps,
+        references.get(o.output if o.entry not in ("project", "step") else ""),
+        o.max_ratio,
+        o.hash,
+        o.problem,
+    )
+
+
+def _reference_ulps(case: _Case) -> dict[str, float]:
+    """Largest error of the textbook reference over the domain, per output, in ulps of the output's scale."""
+    truth = case.truth
+    twin = reference(case.scene, case.scalar)
+    worst: dict[str, float] = {}
+    answer = "tau" if case.scene.kind == "servo" else "tau_dot"
+    vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
+    wanted = {name: vectors[name, name] for name in (case.package.module.entry_points[0].name, *truth.control.system)}
+    for k in range(truth.drawn):
+        inputs = {name: values[k] for name, values in truth.inputs.items()}
+        status, result = twin.system(inputs)
+        if status < 0:
+            continue
+        result = {n: v.astype(twin.dtype).astype(float) for n, v in result.items()}
+        result[answer] = twin.control(**inputs).value.astype(float)
+        for name, expected in (wanted | {answer: vectors["control", answer]}).items():
+            if not np.all(np.isfinite(expected.tolerance[k])):
+                continue
+            hi, lo = expected.hi[k].astype(float), expected.lo[k].astype(float)
+            error = float(np.max(np.abs((result[name].ravel() - hi) - lo)))
+            worst[name] = max(worst.get(name, 0.0), error / ulp(expected.scale, case.scalar))
+    return worst
+
+
+def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
+    """Hold tau against the exact solution of the system the code itself computed, at the drawn states."""
+    steps.next(f"{case.scene.name} {case.scalar}: exact solutions, {compiler}")
+    twin = case.package.load(compiler)
+    assert isinstance(twin, CompiledTwin)
+    matrix, right = case.truth.control.system
+    worst, solved = 0.0, 0
+    for k in range(case.truth.drawn):
+        inputs = {name: values[k] for name, values in case.truth.inputs.items()}
+        status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
+        answer = twin.control(**inputs)
+        if status < 0 or answer.info.rank < min(S.shape) or answer.info.status < 0:
+            continue
+        worst = max(worst, _solve_error(S, z, _free_vector(case, k), answer.value, EPSILON[case.scalar]))
+        solved += 1
+    return SolveCheck(case.scene.name, case.scalar, compiler, solved, worst)
+
+
+def _free_vector(case: _Case, k: int) -> FloatArray:
+    """y as the scalar's own arithmetic gives it."""
+    y = case.truth.control.y
+    if y == "expression":
+        return case.truth.points[k].rounded["y"]
+    return np.asarray(case.truth.inputs["y"][k]) if y == "input" else np.zeros(case.scene.controls)
+
+
+def _solve_error(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float) -> float:
+    """|tau - exact| / (u kappa(S) (|tau| + |y|))."""
+    matrix = exact.rational(S)
+    truth = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(z), exact.rational(y))
+    error = float(np.linalg.norm(exact.difference(tau, truth)))
+    if error == 0.0:
+        return 0.0
+    reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))
+    sigma = np.linalg.svd(np.asarray(S, dtype=float), compute_uv=False)
+    return error / (epsilon * float(sigma[0] / sigma[-1]) * reach)
+
+
+def _differences(case: _Case, here: HarnessResult, there: HarnessResult) -> list[Difference]:
+    """Value by value, host against board."""
+    found = []
+    for entry in case.vectors.entries:
+        for output in entry.outputs:
+            a, b = here.dumps[entry.name, output.name], there.dumps[entry.name, output.name]
+            both = (a.status >= 0) & (b.status >= 0)
+            gap = np.abs(a.values.astype(float) - b.values.astype(float))
+            drawn = gap[: case.truth.drawn][both[: case.truth.drawn]]
+            largest = float(np.max(drawn, initial=0.0)) / ulp(output.scale, case.scalar)
+            found.append(
+                Difference(
+                    case.scene.name,
+                    case.scalar,
+                    entry.name,
+                    output.name,
+                    int(both.sum()) * output.size,
+                    int(np.count_nonzero(gap[both])),
+                    largest,
+                    int(np.count_nonzero(a.status != b.status)),
+                )
+            )
+    return found

@@ -1,0 +1,325 @@
+"""The generated solver against exact rationals and against the textbook, and at the edges of the number range."""
+
+import ctypes
+import functools
+import itertools
+
+import numpy as np
+import pytest
+import servogen as sg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from servogen.plan.solver import plan_solver
+from servogen.results import Path, Status
+from servogen.scene.solver import EPSILON
+from servogen.twins import textbook_solver
+from servogen.verify import exact
+
+SCALARS = ["float64", "float32"]
+SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (7, 3), (6, 7), (12, 12)]
+
+
+@functools.cache
+def twin(m, l, scalar="float64", solver=None, flags=("-O2",), compiler=None):
+    return sg.build_solver(m, l, scalar=scalar, solver=solver or sg.Solver()).load(compiler=compiler, flags=flags)
+
+
+def given_system(shape, scalar, seed=1):
+    generator = np.random.default_rng(seed)
+    m, l = shape
+    return tuple(generator.standard_normal(s).astype(scalar) for s in ((m, l), (m,), (l,)))
+
+
+# ---- accuracy --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_tau_and_pinv_against_rationals(shape, scalar):
+    u = EPSILON[scalar]
+    for seed in range(20):
+        S, z, y = given_system(shape, scalar, seed)
+        s = exact.rational(S)
+        truth = exact.pinv_full(s)
+        kappa = np.linalg.cond(S.astype(float))
+        X, _ = twin(*shape, scalar).pinv(S)
+        error = np.linalg.norm(exact.difference(X, truth), 2)
+        assert error <= 5 * u * kappa * np.linalg.norm(exact.nearest(truth), 2)
+        tau, info = twin(*shape, scalar).solve(S, z, y)
+        right = exact.solution(s, truth, exact.rational(z), exact.rational(y))
+        rest = np.linalg.norm(exact.nearest(exact.rational(z) - s * right))
+        size = np.linalg.norm(exact.nearest(right)) + np.linalg.norm(y.astype(float))
+        size += kappa * rest / np.linalg.norm(S.astype(float), 2)
+        assert np.linalg.norm(exact.difference(tau, right)) <= 4 * u * kappa * size
+        residual = np.linalg.norm(exact.nearest(exact.rational(z) - s * exact.rational(tau)))
+        bound = u * (np.linalg.norm(S, 2) * np.linalg.norm(tau) + np.linalg.norm(z))
+        assert abs(info.residual - residual) <= 3 * bound
+        assert shape[0] > shape[1] or residual <= 1.5 * bound
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize(
+    "solver",
+    [
+        sg.Solver(),
+        sg.Solver(rank="raw"),
+        sg.Solver(damping=0.5),
+        sg.Solver(rank="raw", damping=0.5),
+        sg.Solver(rtol=0.05),
+        sg.Solver(rank="raw", rtol=0.05),
+        sg.Solver(atol=1.0),
+    ],
+)
+@pytest.mark.parametrize("shape", [(1, 2), (3, 1), (2, 2), (3, 3), (3, 7), (7, 3)])
+def test_like_the_textbook(shape, solver, scalar):
+    """Rows of unlike size, low ranks, every option: decisions alike, answers to the digits the condition leaves."""
+    generator = np.random.default_rng(7)
+    m, l = shape
+    plan = plan_solver(m, l, scalar, solver)
+    compared = 0
+    for _ in range(150):
+        rank = generator.integers(0, min(m, l) + 1)
+        S = generator.integers(-3, 4, (m, rank)) @ generator.integers(-3, 4, (rank, l)) * 1.0
+        S = np.ldexp(S, generator.integers(-3, 4, m)[:, None]).astype(scalar)
+        z = (generator.integers(-3, 4, m) if generator.integers(2) else S @ generator.integers(-3, 4, l)).astype(scalar)
+        y = generator.integers(-2, 3, l).astype(scalar)
+        expected, textbook = textbook_solver.solve(S, z, y, plan)
+        tau, info = twin(m, l, scalar, solver).solve(S, z, y)
+        sigma = np.linalg.svd(S.astype(float), compute_uv=False)
+        if _near_a_decision(S, plan):
+            continue
+        compared += 1
+        kept = sigma[: textbook.rank]
+        kappa = 1.0 if not kept.size or kept[-1] == 0 else sigma[0] / kept[-1]
+        assert (info.status, info.rank, info.path) == (textbook.status, textbook.rank, textbook.path)
+        size = np.linalg.norm(expected) + np.linalg.norm(y) + np.linalg.norm(z) / max(kept[-1:], default=1.0)
+        np.testing.assert_allclose(tau, expected, rtol=0, atol=40 * plan.epsilon * kappa * size)
+        assert info.sigma_min == pytest.approx(textbook.sigma_min, abs=20 * plan.epsilon * max(sigma[0], 1e-30))
+        assert info.residual == pytest.approx(textbook.residual, abs=40 * plan.epsilon * kappa * (size * sigma[0] + 1))
+    assert compared > 60
+
+
+def _near_a_decision(S, plan):
+    """Whether a singular value lies within rounding of rtol or damping: then either answer is right."""
+    rows = np.abs(S).max(axis=1).astype(float)
+    kept = np.where((rows > np.array(plan.atol))[:, None], S.astype(float), 0.0)
+    raw = np.linalg.svd(kept, compute_uv=False)
+    unit = np.ldexp(1.0, np.frexp(np.where(rows > 0, rows, 1.0))[1] - 1)
+    scaled = np.linalg.svd(kept / unit[:, None], compute_uv=False)
+    deciding = scaled if plan.rank == "scaled" else raw
+    if deciding[0] > 0 and np.any(np.abs(deciding / deciding[0] / plan.rtol - 1) < 1e-3):
+        return True
+    return plan.damping is not None and bool(np.any(np.abs(raw / plan.damping - 1) < 1e-3))
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+def test_all_2x2_over_small_integers(scalar):
+    for entries in itertools.product((-1.0, 0.0, 1.0), repeat=4):
+        S = np.array(entries, scalar).reshape(2, 2)
+        s = exact.rational(S)
+        X, info = twin(2, 2, scalar).pinv(S)
+        assert info.rank == exact.rank(s)
+        np.testing.assert_allclose(X, exact.nearest(exact.pinv(s)), atol=2 * EPSILON[scalar])
+
+
+# ---- rank, tolerances, damping ---------------------------------------------
+
+
+def test_unit_of_a_constraint_does_not_matter():
+    S = np.array([[1.0, 1.0], [1e-200, -1e-200]])
+    tau, info = twin(2, 2).solve(S, np.array([2.0, 0.0]))
+    assert (info.status, info.rank) == (Status.OK, 2)
+    assert tau == pytest.approx([1, 1])
+    assert twin(2, 2, solver=sg.Solver(rank="raw")).pinv(S)[1].rank == 1
+
+
+def test_a_zero_row_leaves_the_others_their_units():
+    S = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1e-100, 0.0]])
+    tau, info = twin(3, 3).solve(S, np.array([3.0, 0.0, 5e-100]))
+    assert (info.status, info.rank, info.sigma_min) == (Status.RANK_DEFICIENT_CONSISTENT, 2, 0.0)
+    assert tau == pytest.approx([3, 5, 0])
+
+
+def test_inconsistent_is_least_squares_of_the_raw_rows():
+    # the same constraint twice, in units 1 and 1024: the second weighs 2^20 times as much
+    S, z = np.array([[1.0, 0.0], [1024.0, 0.0]]), np.array([0.0, 1024.0])
+    tau, info = twin(2, 2).solve(S, z)
+    assert info.status == Status.RANK_DEFICIENT_INCONSISTENT
+    assert tau[0] == pytest.approx(2**20 / (2**20 + 1), rel=1e-15)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 0.1, 0.0999, 0.05, 1e-6])
+@pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (2, 3)])
+def test_damping_loses_what_it_should(shape, sigma):
+    S = np.zeros(shape)
+    S[0, 0] = sigma
+    if min(shape) == 2:
+        S[1, 1] = 3.0
+    X, info = twin(*shape, solver=sg.Solver(damping=0.1)).pinv(S)
+    lost = (1 - min(sigma / 0.1, 1.0) ** 2) ** 2
+    assert sigma * X[0, 0] == pytest.approx(1 - lost, rel=1e-12)
+    assert (info.status == Status.REGULARISED) is (sigma < 0.1)
+
+
+def test_damping_changes_no_bit_where_it_is_not_needed():
+    for seed in range(50):
+        S, z, y = given_system((3, 7), "float64", seed)
+        damped, info = twin(3, 7, solver=sg.Solver(damping=1e-3)).solve(S, z, y)
+        assert info.status == Status.OK
+        assert (damped == twin(3, 7).solve(S, z, y)[0]).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2, 2), (3, 1)])
+def test_atol_cuts_rows_off(shape):
+    S = np.full(shape, 1e-7)
+    S[-1] = 1e-5
+    tau, info = twin(*shape, solver=sg.Solver(atol=1e-6)).solve(S, np.full(shape[0], 1e-5))
+    assert info.rank == 1
+    S[-1] = 1e-6
+    tau, info = twin(*shape, solver=sg.Solver(atol=1e-6)).solve(S, np.zeros(shape[0]), np.ones(shape[1]))
+    assert info.rank == 0
+    assert (tau == 1).all()
+
+
+# ---- edges of the number range ---------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("shape", [(1, 2), (3, 1), (2, 2), (3, 7), (7, 3)])
+@pytest.mark.parametrize("scalar", SCALARS)
+def test_nonfinite_leaves_outputs_alone(shape, scalar, bad):
+    S, z, y = given_system(shape, scalar)
+    S[:, 0] = 0.0  # what multiplies an infinite y
+    last = np.full(shape[1], 7.0, scalar)
+    for target in (S, z, y):
+        for i in range(target.size):
+            before = target.flat[i]
+            target.flat[i] = bad
+            tau, info = twin(*shape, scalar).solve(S, z, y, last)
+            assert (info.status, info.path, info.rank, info.sweeps) == (Status.NONFINITE, Path.PRECOMPUTED, 0, 0)
+            assert (tau == last).all()
+            target.flat[i] = before
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", [(1, 2), (3, 1), (2, 2), (3, 7)])
+def test_overflow_leaves_outputs_alone(shape, scalar):
+    tiny, large = np.finfo(scalar).tiny, np.finfo(scalar).max / 4
+    S = (np.eye(*shape) * tiny).astype(scalar)
+    last = np.full(shape[1], 7.0, scalar)
+    tau, info = twin(*shape, scalar).solve(S, np.full(shape[0], large, scalar), None, last)
+    assert info.status == Status.OVERFLOW
+    assert (tau == last).all()
+    X, info = twin(*shape, scalar).pinv((S / 2**20).astype(scalar), np.full(shape[::-1], 7.0, scalar))
+    assert info.status == Status.OVERFLOW
+    assert (X == 7).all()
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", [(1, 2), (1, 5), (2, 1), (2, 2), (3, 7), (7, 3)])
+def test_huge_and_tiny_everything(shape, scalar):
+    """S, z and y each at 2^+-k of their own: what fits the type is right."""
+    reach = np.finfo(scalar).maxexp - 10
+    u = EPSILON[scalar]
+    S, z, y = given_system(shape, scalar)
+    kappa = np.linalg.cond(S.astype(float))
+    fits = 0
+    for kS, kz, ky in itertools.product((-reach, -reach // 2, 0, reach // 2, reach), repeat=3):
+        A, b, c = np.ldexp(S, kS), np.ldexp(z, kz), np.ldexp(y, ky)
+        s = exact.rational(A)
+        right = exact.solution(s, exact.pinv_full(s), exact.rational(b), exact.rational(c))
+        tau, info = twin(*shape, scalar).solve(A, b, c)
+        truth = exact.nearest(right)[:, 0]
+        if np.abs(truth).max() >= np.finfo(scalar).max:
+            assert info.status == Status.OVERFLOW
+            continue
+        fits += 1
+        assert info.status >= 0
+        scale = 2.0 ** max(np.frexp(np.abs(truth).max())[1], ky) if np.abs(truth).max() > 0 else 1.0
+        error = np.linalg.norm(exact.difference(tau, right)[:, 0] / scale)
+        rest = (
+            np.linalg.norm(exact.nearest((exact.rational(b) - s * right) * exact.rational(np.array([2.0**-kz])))) / 1.0
+        )
+        allowed = 8 * u * kappa * (1 + np.linalg.norm(y))
+        if shape[0] > shape[1]:  # least squares: kappa^2 on the residual, which is of the size of z and S y
+            allowed *= 4 * kappa
+        assert error <= allowed or np.abs(truth).max() < np.finfo(scalar).tiny / u, (kS, kz, ky, rest)
+    assert fits > 40
+
+
+# ---- bits ------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(SCALARS), st.sampled_from([(1, 1), (1, 3), (2, 2), (2, 3), (3, 7)]))
+def test_powers_of_two_change_no_bit(seed, scalar, shape):
+    S, z, y = given_system(shape, scalar, seed)
+    reach = 400 if scalar == "float64" else 45
+    k = np.random.default_rng(seed).integers(-reach, reach + 1, shape[0])
+    tau, info = twin(*shape, scalar).solve(S, z, y)
+    scaled, scaled_info = twin(*shape, scalar).solve(np.ldexp(S, k[:, None]), np.ldexp(z, k), y)
+    assert (tau == scaled).all()
+    assert (info.status, info.rank, info.sweeps) == (scaled_info.status, scaled_info.rank, scaled_info.sweeps)
+    X, _ = twin(*shape, scalar).pinv(S)
+    assert (twin(*shape, scalar).pinv(np.ldexp(S, k[:, None]))[0] == np.ldexp(X, -k[None, :])).all()
+    # all of S, at any rank: y scaled the other way round
+    S[-1] = S[0]
+    tau, _ = twin(*shape, scalar).solve(S, z, y)
+    assert (twin(*shape, scalar).solve(np.ldexp(S, k[0]), np.ldexp(z, k[0]), y)[0] == tau).all()
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+def test_same_bits_from_every_compiler_and_level(scalar, need_tool):
+    need_tool("clang", "clang")
+    others = [twin(3, 7, scalar, None, (level,), c) for c in ("gcc", "clang") for level in ("-O0", "-O3")]
+    for seed in range(30):
+        S, z, y = given_system((3, 7), scalar, seed)
+        S[2] = S[0] + S[1] if seed % 3 == 0 else S[2]
+        first, info = twin(3, 7, scalar).solve(S, z, y)
+        for other in others:
+            tau, again = other.solve(S, z, y)
+            assert tau.tobytes() == first.tobytes()
+            assert again == info
+
+
+# ---- calling ---------------------------------------------------------------
+
+
+def _at(array):
+    return ctypes.c_void_p(None if array is None else array.ctypes.data)
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (1, 7), (2, 1), (3, 7), (7, 3)])
+def test_tau_may_alias_y_and_pointers_may_be_null(shape):
+    solve = getattr(twin(*shape)._library, f"pinv_{shape[0]}x{shape[1]}_solve")
+    S, z, y = given_system(shape, "float64")
+    for task in (z, z * 0):  # with and without cancellation
+        expected, info = twin(*shape).solve(S, task, y)
+        alias = y.copy()
+        assert solve(_at(S), _at(task), _at(alias), _at(alias), None) == info.status
+        assert (alias == expected).all()
+        zero, without = np.zeros(shape[1]), np.full(shape[1], 7.0)
+        solve(_at(S), _at(task), None, _at(without), None)
+        assert (without == twin(*shape).solve(S, task, zero)[0]).all()
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", [(2, 2), (3, 3), (3, 7), (6, 6), (12, 12)])
+def test_sweeps_stay_below_the_cap(shape, scalar):
+    """Families on which a textbook loop does not end, and the worst of a random search: graded, parallel, integer."""
+    generator = np.random.default_rng(3)
+    m, l = shape
+    cap = plan_solver(m, l, scalar, sg.Solver()).sweep_cap
+    N, u = 400, EPSILON[scalar]
+    base = generator.standard_normal((N, m, l))
+    families = [
+        generator.integers(-1, 2, (N, m, l)),
+        generator.integers(-3, 4, (N, m, 1)) * generator.integers(-3, 4, (N, 1, l)),
+        base * 10.0 ** generator.uniform(-14, 0, (N, m, 1)) * 10.0 ** generator.uniform(-14, 0, (N, 1, l)),
+        base[:, :1] * (1 + u * generator.integers(-2, 3, (N, m, l))),
+        np.cumprod(np.full((N, m, l), 1e-4), axis=2) * base,
+    ]
+    for S in families:
+        _, info = twin(m, l, scalar).solve(S.astype(scalar), np.ones((N, m)))
+        assert (np.asarray(info.status) >= 0).all()
+        assert np.asarray(info.sweeps).max() < cap

@@ -1,0 +1,1 @@
+"""What several folders of tests share: random programs, random scenes, C compilers."""

@@ -1,0 +1,27 @@
+"""C compilers for the tests: the design's strict flags, and programs run in a batch."""
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+STRICT = tuple(
+    "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wmissing-prototypes -Wshadow -Werror".split()
+)
+
+
+def compiler(name: str) -> str:
+    """The path of a compiler; the test is skipped where it is missing."""
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+def run(argv: Sequence[str | Path]) -> str:
+    """Standard output of a command that must succeed; its complaints are the failure's text."""
+    done = subprocess.run([str(a) for a in argv], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, f"{' '.join(str(a) for a in argv)}\n{done.stdout}{done.stderr}"
+    return done.stdout
