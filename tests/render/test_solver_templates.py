@@ -39,8 +39,8 @@ def render(m, l, scalar, solver):
         lstrip_blocks=True,
     )
     context = solver_context(plan, "pinv", lambda value: literal(value, scalar))
-    uses = "int use(const {0} *S, const {0} *z, {0} *x, pinv_info *info);\n".format(plan.real)
-    uses += "int use(const {0} *S, const {0} *z, {0} *x, pinv_info *info)\n".format(plan.real)
+    uses = f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info);\n"
+    uses += f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info)\n"
     uses += "{ return pinv_solve_core(S, z, NULL, x, info) + pinv_pinv_core(S, x, info); }\n"
     parts = [environment.get_template(f"solver/{name}.j2").render(context) for name in ("info.h", "solver.c")]
     return "\n".join(["#include <math.h>\n#include <stddef.h>\n#include <stdint.h>", *parts, uses])

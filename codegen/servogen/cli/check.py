@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, emit_json, err, json_option, out, progress, table
+from servogen.cli.console import FAILED, GOOD, complain, emit_json, json_option, out, progress, table
 from servogen.errors import SceneError
 from servogen.scene.loading import builtin_names, load_scene
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
@@ -69,9 +69,9 @@ def show(report: CheckReport) -> None:
             right=(4, 5, 6, 7),
         )
     for text in report.skipped:
-        err.print(f"[bold yellow]SKIPPED:[/] {text}", soft_wrap=True)
+        complain("SKIPPED", text)
     for text in report.problems:
-        err.print(f"[bold red]FAILED:[/] {text}", soft_wrap=True)
+        complain("FAILED", text)
     out.print("[bold green]check passed[/]" if report.passed else "[bold red]check failed[/]")
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -73,6 +74,13 @@ def to_jsonable(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def complain(kind: str, text: str) -> None:
+    """One line on stderr: what kind of remark it is, then its words as they are."""
+    err.print(f"[bold red]{kind}:[/] {escape(text)}", soft_wrap=True)
+
+
 def show_warnings() -> None:
     """Warnings in one line each, without the source of servogen."""
-    warnings.showwarning = lambda message, *rest, **more: err.print(f"[yellow]warning:[/] {message}", soft_wrap=True)
+    warnings.showwarning = lambda message, *rest, **more: err.print(
+        f"[bold yellow]warning:[/] {escape(str(message))}", soft_wrap=True
+    )

@@ -5,10 +5,13 @@ import sys
 import click
 
 from servogen.cli.check import check_command
-from servogen.cli.console import WRONG_INPUT, err, show_warnings
+from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
+from servogen.cli.simulate import simulate_command
+from servogen.cli.report import report_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
+from servogen.verify.harness import HarnessBuildError
 from servogen.verify.tools import ToolMissing
 from servogen.version import VERSION
 
@@ -23,7 +26,7 @@ def cli() -> None:
     """
 
 
-for command in (list_scenes, generate, solver, check_command, stress_command):
+for command in (list_scenes, generate, solver, check_command, stress_command, simulate_command, report_command):
     cli.add_command(command)
 
 
@@ -31,17 +34,20 @@ def main() -> None:
     """Run the command; wrong input ends in one line and exit code 2."""
     show_warnings()
     try:
-        cli(standalone_mode=False)
-    except click.exceptions.Exit as stop:
-        sys.exit(stop.exit_code)
+        # without its standalone mode click hands back the code of click.exceptions.Exit
+        code = cli(standalone_mode=False)
     except click.Abort:
         sys.exit(130)
     except click.ClickException as error:
         error.show()
         sys.exit(WRONG_INPUT)
     except (SceneError, ToolMissing) as error:
-        err.print(f"[bold red]error:[/] {error}", soft_wrap=True, markup=True)
+        complain("error", str(error))
         sys.exit(WRONG_INPUT)
+    except HarnessBuildError as error:
+        complain("error", str(error))
+        sys.exit(FAILED)
+    sys.exit(code if isinstance(code, int) else GOOD)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 
+from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.results import FloatArray
@@ -25,20 +26,13 @@ def node_values(program: Program, inputs: Mapping[str, Any], dtype: Any = np.flo
     with np.errstate(all="ignore"):
         for instr in program.instrs:
             if isinstance(instr.const, Fraction):
-                values.append(np.full(count, _nearest(instr.const, dtype)))
+                values.append(np.full(count, nearest(instr.const, np.dtype(dtype).name), dtype))
             elif instr.const is not None:
                 name, k = instr.const
                 values.append(np.broadcast_to(columns[name][:, k], (count,)))
             else:
                 values.append(np.asarray(OPS[instr.op].numpy(*(values[a] for a in instr.args)), dtype=dtype))
     return values
-
-
-def _nearest(value: Fraction, dtype: Any) -> Any:
-    try:
-        return dtype(float(value))
-    except OverflowError:
-        return dtype(np.inf) if value > 0 else dtype(-np.inf)
 
 
 def evaluate(program: Program, inputs: Mapping[str, Any], dtype: Any = np.float64) -> dict[str, FloatArray]:

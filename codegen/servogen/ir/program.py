@@ -88,7 +88,7 @@ def parse(text: str) -> Program:
         if word == "program":
             name = rest
         elif word == "output":
-            label, _, nodes = rest.partition(" = ")
+            label, _, nodes = rest.partition(" =")
             output_name, shape = label[:-1].split("[")
             rows, columns = (int(x) for x in shape.split("x"))
             outputs.append(Output(output_name, rows, columns, tuple(int(n[1:]) for n in nodes.split())))
@@ -114,12 +114,15 @@ def check_legal(program: Program) -> Program:
     sizes = {i.name: i.size for i in program.inputs}
     if len(sizes) != len(program.inputs):
         raise IllegalProgramError(f"program {program.name}: two inputs share a name")
+    if len({o.name for o in program.outputs}) != len(program.outputs):
+        raise IllegalProgramError(f"program {program.name}: two outputs share a name")
     for k, instr in enumerate(program.instrs):
         where = f"program {program.name}, instruction {k}: {instr.op}"
         if any(not 0 <= a < k for a in instr.args):
             raise IllegalProgramError(f"{where} refers to an instruction that is not before it")
         if instr.op == "input":
             legal = isinstance(instr.const, tuple) and 0 <= instr.const[1] < sizes.get(instr.const[0], 0)
+            legal = legal and not instr.args
         elif instr.op == "const":
             legal = isinstance(instr.const, Fraction) and not instr.args
         else:

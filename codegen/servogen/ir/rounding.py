@@ -4,6 +4,7 @@ Each operation v errs by at most its row's `rounding` units in the last place, a
 the derivative of that output with respect to v: bound = sum over v of |d out / d v| * rounding(v) * u |v|.
 """
 
+import math
 from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from servogen.ir.evaluate import node_values
+from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program, live
 from servogen.results import FloatArray
@@ -61,8 +63,5 @@ def _bound(program: Program, root: int, partials: list[tuple[FloatArray, ...]], 
 
 
 def _constant_error(value: Fraction, scalar: str) -> float:
-    try:
-        nearest = float(np.dtype(scalar).type(float(value)))
-        return float(abs(Fraction(nearest) - value))
-    except OverflowError:
-        return float("inf")
+    rounded = nearest(value, scalar)
+    return float(abs(Fraction(rounded) - value)) if math.isfinite(rounded) else math.inf

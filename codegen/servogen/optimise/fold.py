@@ -97,6 +97,8 @@ class _Folder:
         return self._move_sign_out("mul", args)
 
     def _simplify_div(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
+        if constants[1] == ZERO:
+            return None  # no value, and none may be made up
         if constants[0] == ZERO:
             return self._number(ZERO)
         if constants[1] == ONE:

@@ -119,3 +119,15 @@ class Module:
     def context(self) -> dict[str, Any]:
         """What the templates call by name."""
         return {"module": self, "p": self.target.prefix, "P": self.target.prefix.upper(), "real": self.target.real}
+
+
+def cost_of(operations: dict[str, int]) -> str:
+    """Operation counts in words: "20 operations (9 mul, 8 add, 3 cos)"."""
+    total = operations["total"]
+    return f"{total} operation{'s' if total > 1 else ''} ({mix_of(operations)})" if total else "no operations"
+
+
+def mix_of(operations: dict[str, int]) -> str:
+    """The counts by kind, most first: "9 mul, 8 add, 3 cos"."""
+    counted = sorted((item for item in operations.items() if item[0] != "total"), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{n} {op}" for op, n in counted)

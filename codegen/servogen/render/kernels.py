@@ -23,7 +23,8 @@ def statements(program: Program, scalar: str) -> tuple[list[str], dict[str, list
             struct, size = sizes[instr.const[0]]
             expression = f"{struct}->{instr.const[0]}" + (f"[{instr.const[1]}]" if size > 1 else "")
         elif instr.op == "neg":
-            expression = f"(-{operands[0]})"
+            operand = operands[0]
+            expression = f"(-({operand}))" if operand.startswith("-") else f"(-{operand})"  # a literal may be negative
         else:
             expression = f"t{len(lines)}"
             value = OPS[instr.op].c.format(*operands, f=suffix, real=real)

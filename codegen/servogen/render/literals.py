@@ -5,24 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from servogen.errors import SceneError
-
-
-def nearest(value: Fraction | float, scalar: str) -> float:
-    """The number of the target type nearest to an exact value; ties to even. Rounded once, not through float64."""
-    exact = Fraction(value)
-    try:
-        wide = float(exact)
-    except OverflowError:
-        wide = float("inf")
-    if scalar == "float64":
-        return wide
-    with np.errstate(over="ignore", under="ignore"):
-        guess = np.float32(wide)
-    if not np.isfinite(guess):
-        return float(guess)
-    candidates = [guess, np.nextafter(guess, np.float32(-np.inf)), np.nextafter(guess, np.float32(np.inf))]
-    finite = [c for c in candidates if np.isfinite(c)]
-    return float(min(finite, key=lambda c: (abs(Fraction(float(c)) - exact), int(c.view(np.uint32)) & 1)))
+from servogen.ir.numbers import nearest
 
 
 def literal(value: Fraction | float, scalar: str) -> str:

@@ -8,8 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from servogen.ir.program import Program
-from servogen.plan.module import Module
+from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import reads, statements
 from servogen.render.literals import literal
@@ -57,16 +56,6 @@ def render(module: Module) -> tuple[SourceFile, ...]:
     return (*files, SourceFile("manifest.json", _manifest(module, files)))
 
 
-def cost_text(program: Program) -> str:
-    """Operation counts in words: "20 operations (9 mul, 8 add, 3 cos)"."""
-    counts = program.operations()
-    total = counts.pop("total")
-    if not total:
-        return "no operations"
-    details = ", ".join(f"{n} {op}" for op, n in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
-    return f"{total} operation{'s' if total > 1 else ''} ({details})"
-
-
 def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
@@ -77,8 +66,8 @@ def _context(module: Module) -> dict[str, Any]:
         "version": VERSION,
         "title": _title(module),
         "math": module.needs_libm,
-        "cost": cost_text,
-        "prepare_cost": cost_text(module.prepare.program),
+        "cost": lambda program: cost_of(program.operations()),
+        "prepare_cost": cost_of(module.prepare.program.operations()),
         "solver_cost": _solver_cost(module),
         "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
         "statements": partial(statements, scalar=scalar),

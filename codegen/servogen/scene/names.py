@@ -28,7 +28,17 @@ STANDARD_MACROS = frozenset(
     M_2_PI M_2_SQRTPI M_SQRT2 M_SQRT1_2 DOMAIN SING OVERFLOW UNDERFLOW PLOSS TLOSS MAXFLOAT FP_NAN FP_INFINITE
     FP_ZERO FP_SUBNORMAL FP_NORMAL FP_ILOGB0 FP_ILOGBNAN fpclassify isfinite isinf isnan isnormal signbit
     isgreater isgreaterequal isless islessequal islessgreater isunordered stdin stdout stderr BUFSIZ EXIT_FAILURE
-    EXIT_SUCCESS RAND_MAX SIGINT offsetof va_arg va_start va_end unix linux i386 near far min max""".split()
+    EXIT_SUCCESS RAND_MAX SIGINT offsetof va_arg va_start va_end unix linux i386 near far min max
+    signgam BIG_ENDIAN LITTLE_ENDIAN PDP_ENDIAN BYTE_ORDER FD_SETSIZE NFDBITS MB_CUR_MAX WCONTINUED WEXITED WNOHANG
+    WNOWAIT WSTOPPED WUNTRACED HAVE_INITFINI_ARRAY""".split()
+)
+
+# Families of them: those of <stdint.h>, and what the headers add for each floating type.
+_MACRO_FAMILY = re.compile(
+    r"""U?INT(_LEAST|_FAST)?\d*(PTR|MAX)?_(MAX|MIN|WIDTH|C) | (PTRDIFF|SIG_ATOMIC|SIZE|WCHAR|WINT)_(MAX|MIN|WIDTH)
+    | M_(E|LOG2E|LOG2_E|LOG10E|LN2|INVLN2|LN2HI|LN2LO|LN10|IVLN10|PI|PI_2|PI_4|3PI_4|TWOPI|1_PI|2_PI|SQRTPI|2_SQRTPI
+      |SQRT2|SQRT3|SQRT1_2)(l|f(\d+x?)?)? | S?NAN(L|F(\d+X?)?)? | HUGE_VAL_F\d+X? | FP_(INT|LLOGB)\w+""",
+    re.VERBOSE,
 )
 
 # Keywords of the Python twins, and the names the inputs of every scene have.
@@ -49,6 +59,8 @@ def check_identifier(name: str, what: str) -> str:
     ):
         if name in words:
             raise SceneError(f"{what} {name!r} is {kind}; choose another name")
+    if _MACRO_FAMILY.fullmatch(name):
+        raise SceneError(f"{what} {name!r} is a standard macro; choose another name")
     if name.startswith("__") or re.match(r"_[A-Z]", name):
         raise SceneError(f"{what} {name!r} is reserved for the C implementation; drop the leading underscore")
     return name

@@ -1,6 +1,8 @@
 """A trajectory as figures: states, controls, constraints and outputs beside what they ought to be."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +48,10 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
     psi = trajectory.constraint_name
     figures = {
         "states": [
-            _curves(trajectory, trajectory.q, _symbol_names(mech.q), _axis("configuration q", units.get("q"))),
-            _curves(trajectory, trajectory.u, _symbol_names(mech.u), _axis("velocity u", units.get("u"))),
+            *_curves(trajectory, trajectory.q, _symbol_names(mech.q), "configuration q", units.get("q")),
+            *_curves(trajectory, trajectory.u, _symbol_names(mech.u), "velocity u", units.get("u")),
         ],
-        "controls": [_curves(trajectory, trajectory.tau, _symbol_names(mech.tau), _axis("controls τ", units.get("tau")))],
+        "controls": _curves(trajectory, trajectory.tau, _symbol_names(mech.tau), "controls τ", units.get("tau")),
         psi: _constraint_panels(scene, trajectory, units.get(psi)),
     }
     if trajectory.outputs:
@@ -62,15 +64,15 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
 
 def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[Path]:
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 0.9 + 2.5 * len(panels)), layout="constrained")
+        figure = Figure(figsize=(7.2, 1.1 + (2.5 if len(panels) < 3 else 1.9) * len(panels)), layout="constrained")
         FigureCanvasAgg(figure)
-        figure.get_layout_engine().set(h_pad=0.1)  # type: ignore[union-attr]
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for panel, axis in zip(panels, axes, strict=True):
             panel(axis)
             _mark_stop(trajectory, axis)
         axes[-1].set_xlabel("time t [s]")
-        axes[0].set_title(_title(trajectory), loc="left")
+        figure.align_ylabels(axes)
+        figure.suptitle(_title(trajectory), fontsize=11, x=0.02, ha="left")
         png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
         figure.savefig(png, dpi=160, metadata={"Software": None})
         figure.savefig(svg, metadata={"Date": None, "Creator": None})
@@ -88,7 +90,7 @@ def _mark_stop(trajectory: Trajectory, axis: Any) -> None:
         return
     end = trajectory.stop.t
     axis.axvline(end, color="#888888", linewidth=1.0)
-    axis.set_xlim(0.0, max(end * 1.12, 1e-9))
+    axis.set_xlim(0.0, max(end * 1.2, 1e-9))
     if axis.get_subplotspec().is_first_row():
         why = trajectory.stop.event or trajectory.stop.status.name
         text = f"{why}\nt* = {end:.4g} s"
@@ -96,14 +98,26 @@ def _mark_stop(trajectory: Trajectory, axis: Any) -> None:
                       va="top", fontsize=9, color="#444444")  # fmt: skip
 
 
-def _curves(trajectory: Trajectory, values: FloatArray, names: Sequence[str], label: str) -> Panel:
-    def panel(axis: Any) -> None:
-        for k, name in enumerate(names):
-            axis.plot(trajectory.t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name)
-        axis.set_ylabel(label)
-        _legend(axis, len(names))
+def _curves(trajectory: Trajectory, values: FloatArray, names: Sequence[str], what: str, unit: str | None) -> list[Panel]:
+    """All curves in one panel; one panel each where they chatter and would cover one another."""
+    if not _chatters(values):
+        return [partial(_together, trajectory.t, values, names, _axis(what, unit))]
+    ones = range(values.shape[1])
+    return [partial(_together, trajectory.t, values[:, k : k + 1], names[k : k + 1], _axis(names[k], unit)) for k in ones]
 
-    return panel
+
+def _together(t: FloatArray, values: FloatArray, names: Sequence[str], label: str, axis: Any) -> None:
+    for k, name in enumerate(names):
+        axis.plot(t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=1.5 if len(names) > 1 else 0.9)
+    axis.set_ylabel(label)
+    _legend(axis, len(names))
+
+
+def _chatters(values: FloatArray) -> bool:
+    """Whether some column turns round more than 60 times."""
+    slopes = np.sign(np.diff(values, axis=0))
+    turns = np.sum(slopes[1:] * slopes[:-1] < 0, axis=0)
+    return values.shape[1] > 1 and bool(np.any(turns > 60))
 
 
 def _constraint_panels(scene: Scene, trajectory: Trajectory, unit: str | None) -> list[Panel]:
@@ -171,7 +185,11 @@ def _legend(axis: Any, count: int) -> None:
 
 
 def _axis(name: str, unit: str | None) -> str:
-    return f"{name} [{unit}]" if unit else name
+    """"K [J]", powers in the unit raised."""
+    if not unit:
+        return name
+    raised = re.sub(r"\^(-?[0-9]+)", r"$^{\1}$", unit)
+    return f"{name} [{raised}]"
 
 
 def _symbol_names(symbols: Any) -> list[str]:

@@ -39,7 +39,7 @@ class ReferenceTwin(Twin):
         if not finite(rounded.values()):
             return Status.NONFINITE
         if self._mass is not None:
-            Q = self._mass(*(ca.DM(rounded[f.name]) for f in self.scene.parameters or ()))
+            Q = self._mass.call([ca.DM(rounded[f.name]) for f in self.scene.parameters or ()])[0]
             if _singular(np.array(Q, dtype=float), EPSILON[self.scalar]):
                 return Status.SINGULAR_MASS
         self._parameters = rounded

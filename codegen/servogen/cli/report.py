@@ -1,0 +1,55 @@
+"""servogen report: everything on one page."""
+
+from pathlib import Path
+
+import click
+
+from servogen.cli.console import FAILED, GOOD, complain, emit_json, json_option, out, progress
+from servogen.errors import SceneError
+from servogen.report.collect import collect
+from servogen.report.page import render_page
+from servogen.scene.loading import builtin_names
+from servogen.verify.harness import require_target
+from servogen.verify.tools import ToolMissing
+
+BOARD = "cortex-m4"
+
+
+@click.command("report")
+@click.argument("scenes", nargs=-1, metavar="SCENE...")
+@click.option("--all", "every", is_flag=True, help="All built-in scenes.")
+@click.option(
+    "--out", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("report"), show_default=True,
+    help="Folder for report.html and the scenes' files.",
+)  # fmt: skip
+@click.option("--states", type=click.IntRange(1), default=500, show_default=True, help="States of the cross-check.")
+@click.option("--rounds", type=click.IntRange(1), default=10, show_default=True, help="Rounds of the benchmark.")
+@json_option
+def report_command(
+    scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, as_json: bool
+) -> None:
+    """Generate, cross-check, simulate and benchmark SCENE...; one self-contained HTML page, and the files beside it."""
+    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
+    if not names:
+        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    board: str | None = BOARD
+    skipped = []
+    try:
+        require_target(BOARD)
+    except ToolMissing as missing:
+        board = None
+        skipped.append(f"the cross-check on the emulated Cortex-M4F: {missing}")
+    with progress(as_json) as advance:
+        report = collect(names, folder, board, states, rounds, skipped, advance)
+    page = folder / "report.html"
+    page.write_text(render_page(report), encoding="utf-8")
+    passed = report.check.passed and (report.board is None or report.board.passed)
+    if as_json:
+        emit_json({"page": page, "passed": passed, "check": report.check, "board": report.board})
+    else:
+        for text in report.skipped:
+            complain("SKIPPED", text)
+        for text in (*report.check.problems, *(report.board.problems if report.board else ())):
+            complain("FAILED", text)
+        out.print(f"wrote {page}", markup=False, soft_wrap=True)
+    raise click.exceptions.Exit(GOOD if passed else FAILED)

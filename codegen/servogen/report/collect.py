@@ -1,0 +1,149 @@
+"""Everything the page shows, computed: generation, cross-check, closed loop, run time against error."""
+
+import base64
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servogen.bench.plot import draw
+from servogen.bench.results import Bench
+from servogen.bench.run import bench
+from servogen.compiler import build
+from servogen.derive.derive import derive
+from servogen.package import Package
+from servogen.scene.loading import builtin_names, builtin_summary, load_simulation
+from servogen.scene.scene import Scene
+from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.export import write_csv
+from servogen.simulate.plots import write_plots
+from servogen.simulate.simulation import Simulation
+from servogen.simulate.trajectory import Trajectory
+from servogen.verify.check import CheckReport, check
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A picture as the page holds it: a data URI and a caption."""
+
+    uri: str
+    caption: str
+
+
+@dataclass(frozen=True, eq=False)
+class SceneReport:
+    """One scene: what was generated, and its figures. `folder` holds the files, relative to the page."""
+
+    name: str
+    summary: str
+    scene: Scene
+    manifests: dict[str, dict[str, Any]]  # by scalar
+    quantities: tuple[tuple[str, str, str, str], ...]  # name, shape, equation, formula
+    mass: str
+    call: str
+    trajectory: Trajectory
+    decay_error: dict[str, float]
+    motion: tuple[Figure, ...]
+    bench: Bench
+    speed: Figure
+    folder: str
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """The page's content."""
+
+    scenes: tuple[SceneReport, ...]
+    check: CheckReport
+    board: CheckReport | None
+    skipped: tuple[str, ...]
+
+
+def collect(
+    specs: Sequence[str],
+    folder: Path,
+    board: str | None,
+    states: int,
+    rounds: int,
+    skipped: Sequence[str],
+    progress: Progress,
+) -> Report:
+    """Run everything for scenes named as on the command line; their files go to folder/<scene>/.
+
+    board: a target to repeat the cross-check on, or None.
+    """
+    loaded = [(spec, *load_simulation(spec)) for spec in specs]
+    steps = 3 * len(loaded) + 1 + (board is not None)
+    done = 0
+
+    def say(text: str) -> None:
+        nonlocal done
+        progress(done, steps, text)
+        done += 1
+
+    scenes = [_scene_report(spec, scene, simulation, folder, rounds, say) for spec, scene, simulation in loaded]
+    say("cross-check on this machine")
+    host = check([scene for _, scene, _ in loaded], states=states)
+    emulated = None
+    if board is not None:
+        say(f"cross-check on {board}")
+        emulated = check([scene for _, scene, _ in loaded], board, states)
+    return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped))
+
+
+def _scene_report(
+    spec: str, scene: Scene, simulation: Simulation, folder: Path, rounds: int, say: Callable[[str], None]
+) -> SceneReport:
+    own = folder / scene.name
+    say(f"{scene.name}: generate")
+    packages = {scalar: build(scene, own / short, scalar) for scalar, short in (("float64", "f64"), ("float32", "f32"))}
+    say(f"{scene.name}: closed loop")
+    trajectory = ClosedLoop(scene, simulation).run()
+    write_csv(trajectory, own / "trajectory.csv")
+    pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
+    say(f"{scene.name}: run time against error")
+    measured = bench(scene, rounds=rounds)
+    drawn = next(p for p in draw(measured, own) if p.suffix == ".svg")
+    formulation = derive(scene)
+    return SceneReport(
+        name=scene.name,
+        summary=builtin_summary(spec) if spec in builtin_names() else f"From {Path(spec).name}.",
+        scene=scene,
+        manifests={scalar: package.manifest for scalar, package in packages.items()},
+        quantities=tuple(
+            (q.name, f"{q.expression.size1()}×{q.expression.size2()}", q.equation, q.formula)
+            for q in formulation.quantities
+        ),
+        mass=formulation.mass.reason,
+        call=_call(packages["float64"]),
+        trajectory=trajectory,
+        decay_error={n: _relative(trajectory.outputs[n], ideal) for n, ideal in trajectory.decay.items()},
+        motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
+        bench=measured,
+        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error"),
+        folder=scene.name,
+    )
+
+
+def _relative(values: Any, ideal: Any) -> float:
+    """Largest relative deviation from the ideal decay."""
+    scale = np.maximum(np.abs(ideal), np.finfo(float).tiny)
+    return float(np.max(np.abs(values - ideal) / scale))
+
+
+def _call(package: Package) -> str:
+    """The statements of the control function's own code, as generated."""
+    text = (package.path / f"{package.prefix}.c").read_text()
+    kernel = package.module.control.kernel.name if package.module.control else ""
+    found = re.search(rf"^static void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
+    return found.group(0) if found else ""
+
+
+def _data_uri(path: Path) -> str:
+    kind = {".png": "image/png", ".svg": "image/svg+xml"}[path.suffix]
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"

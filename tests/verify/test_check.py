@@ -1,0 +1,106 @@
+"""The cross-check passes good code and fails each kind of wrong code."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import servogen as sg
+from servogen.scene.loading import load_scene
+from servogen.verify import check as check_module
+from servogen.verify.check import check
+from servogen.verify.truth import Truth, states_to_check
+
+STATES = 40
+
+
+@pytest.mark.parametrize("name", ["double_pendulum_energy", "spacecraft_smooth"])
+def test_generated_code_passes(name):
+    report = check([load_scene(name)], states=STATES)
+    assert report.passed, report.problems
+    assert {o.scalar for o in report.outputs} == {"float64", "float32"}
+    assert all(o.compared >= STATES for o in report.outputs)
+    assert all(o.max_ulps < 20 for o in report.outputs)
+    assert all(s.passed and s.solved == STATES for s in report.solves)
+
+
+def edited(monkeypatch, old, new):
+    """Let check build packages whose C has `old` replaced by `new`."""
+
+    def build(scene, out, scalar):
+        package = sg.build(scene, out, scalar)
+        source = Path(package.path) / f"{package.prefix}.c"
+        text = source.read_text()
+        assert old in text
+        source.write_text(text.replace(old, new, 1))
+        return package
+
+    monkeypatch.setattr(check_module, "build", build)
+    monkeypatch.setattr(check_module, "EPSILON", {"float64": 2.0**-52})  # one scalar and one compiler are enough
+    monkeypatch.setattr(check_module, "HOST_COMPILERS", ("gcc",))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("cos(", "sin("),
+        (" + ", " - "),
+        ("in->q[1]", "in->q[0]"),
+        ("1.0 - ", "1.0000000000000009 - "),  # four ulps
+    ],
+    ids=["another function", "flipped sign", "index off by one", "constant off by some ulps"],
+)
+def test_wrong_code_fails(monkeypatch, old, new):
+    edited(monkeypatch, old, new)
+    report = check([load_scene("double_pendulum_energy")], states=STATES)
+    assert not report.passed
+    assert report.problems
+
+
+def test_an_inaccurate_solve_fails(monkeypatch):
+    """tau off by a part in 1e14 is found by the exact solution of the code's own system."""
+    edited(monkeypatch, "rest /= square;", "rest /= square * 1.00000000000001;")
+    report = check([load_scene("double_pendulum_energy")], states=STATES)
+    assert any("the bar is 8" in p for p in report.problems)
+
+
+@pytest.mark.parametrize("scalar", ["float64", "float32"])
+def test_truth_compares_nearly_everything_in_the_domain(scalar):
+    scene = load_scene("double_pendulum_energy")
+    package = sg.build(scene, scalar=scalar)
+    states, boundary = states_to_check(scene, STATES)
+    vectors = Truth(scene, package.module, states, STATES).vector_set()
+    for entry in vectors.entries:
+        for output in entry.outputs:
+            assert np.all(np.isfinite(output.tolerance[:STATES])), entry.name
+            assert np.max(output.tolerance[:STATES]) < 1e6 * np.finfo(scalar).eps * max(output.scale, 1)
+    control = next(e for e in vectors.entries if e.name == "control")
+    rest = STATES + boundary.index("rest")
+    assert control.status[rest] == sg.Status.RANK_DEFICIENT_INCONSISTENT
+    assert control.rank[rest] == 0
+    nan = STATES + boundary.index("u[1] = nan")
+    assert control.status[nan] == sg.Status.NONFINITE
+
+
+def test_truth_is_the_physics():
+    """At 50 digits the pendulum's S and z are u^T G and Theta (E - E_0), which no formula of ours says."""
+    scene = load_scene("double_pendulum_energy")
+    package = sg.build(scene)
+    truth = Truth(scene, package.module, states_to_check(scene, 5)[0], 5)
+    for k in range(5):
+        u = truth.inputs["u"][k]
+        S = [float(v) for v in truth.points[k].values["S"]]
+        np.testing.assert_allclose(S, [u[0], u[1] - u[0]], rtol=1e-15)
+        psi, z = truth.points[k].values["psi"][0], truth.points[k].values["z"][0]
+        assert abs(float(z + psi)) < 1e-40
+
+
+@pytest.mark.parametrize("states", [30])
+def test_same_vectors_on_the_emulated_cortex_m4(need_target, states):
+    need_target("cortex-m4", "gcc")
+    report = check([load_scene("spacecraft")], "cortex-m4", states=states)
+    assert report.passed, report.problems
+    assert {o.target for o in report.outputs} == {"gcc", "cortex-m4"}
+    assert report.differences
+    # no libm in this scene: every bit must agree
+    assert all(d.different == 0 and d.statuses_differ == 0 for d in report.differences)
