@@ -8,6 +8,7 @@ import click
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_solver
 from servogen.package import Package
+from servogen.plan.module import mix_of
 from servogen.scene.loading import builtin_names, builtin_summary, load_scene
 from servogen.scene.solver import EPSILON, Scalar
 
@@ -80,5 +81,4 @@ def _report(package: Package, as_json: bool) -> None:
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
     counts = point["operations"]
-    details = ", ".join(f"{n} {op}" for op, n in counts.items() if op != "total")
-    return f"{package.prefix}_{name}", counts["total"] or "", details or "the solver alone"
+    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or "the solver alone"

@@ -16,10 +16,10 @@ from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program, live
 from servogen.results import FloatArray
-from servogen.scene.solver import EPSILON
+from servogen.scene.solver import EPSILON, Scalar
 
 
-def rounding_bounds(program: Program, inputs: Mapping[str, Any], scalar: str) -> dict[str, FloatArray]:
+def rounding_bounds(program: Program, inputs: Mapping[str, Any], scalar: Scalar) -> dict[str, FloatArray]:
     """Outputs' error bounds at N states: name -> array (N, size), absolute.
 
     Derivatives and values are float64 ones; inputs count as exact, constants as rounded once to the scalar.
@@ -62,6 +62,6 @@ def _bound(program: Program, root: int, partials: list[tuple[FloatArray, ...]], 
     return total
 
 
-def _constant_error(value: Fraction, scalar: str) -> float:
+def _constant_error(value: Fraction, scalar: Scalar) -> float:
     rounded = nearest(value, scalar)
     return float(abs(Fraction(rounded) - value)) if math.isfinite(rounded) else math.inf

@@ -101,7 +101,10 @@ def _scene_report(
 ) -> SceneReport:
     own = folder / scene.name
     say(f"{scene.name}: generate")
-    packages = {scalar: build(scene, own / short, scalar) for scalar, short in (("float64", "f64"), ("float32", "f32"))}
+    packages = {
+        "float64": build(scene, own / "f64", "float64"),
+        "float32": build(scene, own / "f32", "float32"),
+    }
     say(f"{scene.name}: closed loop")
     trajectory = ClosedLoop(scene, simulation).run()
     write_csv(trajectory, own / "trajectory.csv")

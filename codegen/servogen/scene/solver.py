@@ -9,7 +9,7 @@ from servogen.errors import SceneError
 
 Scalar = Literal["float64", "float32"]
 
-EPSILON: dict[str, float] = {"float64": 2.0**-52, "float32": 2.0**-23}
+EPSILON: dict[Scalar, float] = {"float64": 2.0**-52, "float32": 2.0**-23}
 
 
 @dataclass(frozen=True)

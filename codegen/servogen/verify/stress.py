@@ -417,7 +417,7 @@ def _integers(m: int, l: int, rank: int, generator: Generator) -> tuple[FloatArr
 def _nearly_met(B: FloatArray, z: FloatArray) -> bool:
     """Whether some tau leaves less than a hundredth of z in each row: too close to call in float32."""
     rest = z - B @ np.linalg.lstsq(B, z, rcond=None)[0]
-    return bool(np.abs(rest).max() < 1e-2 * np.abs(z).max())
+    return bool(np.abs(rest).max() <= 1e-2 * np.abs(z).max())
 
 
 def _products(task: Task, bench: Bench, consistent: bool) -> Iterator[Measured]:
