@@ -15,6 +15,7 @@ from servogen.twins import textbook_solver
 from servogen.twins.interface import ControlsTwin, ServoTwin, Twin, finite, refusal
 
 _PROJECTION_CAP = 50
+_WITHOUT_MASS = {"psi", "phi", "A"}
 
 
 def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
@@ -49,17 +50,24 @@ class ReferenceTwin(Twin):
         with np.errstate(over="ignore"):
             return np.asarray(value).astype(self.dtype).astype(float)
 
-    def system(self, inputs: dict[str, FloatArray]) -> tuple[Status, dict[str, FloatArray]]:
-        """(status, {"psi", "S", "z", "y"} or {"phi", "A", "B", "y"}); empty where the status is negative."""
+    def system(self, inputs: dict[str, FloatArray], *names: str) -> tuple[Status, dict[str, FloatArray]]:
+        """(status, {"psi", "S", "z", "y"} or {"phi", "A", "B", "y"}); empty where the status is negative.
+
+        names: these quantities alone, with the status that they have (psi, phi and A need no Q).
+        """
         rounded = {n: self._round(v) for n, v in inputs.items()}
         if not finite(v for n, v in rounded.items() if n in self._names["used"]):
             return Status.NONFINITE, {}
         values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
         given = {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}
-        if _singular(given["Q"], EPSILON[self.scalar]):
+        if names and set(names) <= _WITHOUT_MASS:
+            result = {n: given["A" if n == "A" else "psi"] for n in names}
+        elif _singular(given["Q"], EPSILON[self.scalar]):
             return Status.SINGULAR_MASS, {}
-        with np.errstate(all="ignore"):
-            result = self._textbook(given, rounded)
+        else:
+            with np.errstate(all="ignore"):
+                result = self._textbook(given, rounded)
+        result = {n: result[n] for n in names or result}
         if not finite(self._round(v) for v in result.values()):
             return Status.OVERFLOW, {}
         return Status.OK, result
@@ -68,7 +76,7 @@ class ReferenceTwin(Twin):
         raise NotImplementedError
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
-        status, result = self.system(inputs)
+        status, result = self.system(inputs, name)
         shape = (self.scene.rows, self.scene.controls) if name in "SA" else (self.scene.rows,)
         return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
 
@@ -77,10 +85,10 @@ class ReferenceTwin(Twin):
         return inverse.astype(self.dtype), info
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        status, result = self.system(inputs)
+        matrix, right = ("S", "z") if self.scene.kind == "servo" else ("A", "B")
+        status, result = self.system(inputs, matrix, right, "y")
         if status < 0:
             return Control(last, refusal(status))
-        matrix, right = ("S", "z") if self.scene.kind == "servo" else ("A", "B")
         S = result[matrix].reshape(self.scene.rows, self.scene.controls)
         tau, info = textbook_solver.solve(S, result[right].ravel(), result["y"].ravel(), self._plan, last)
         return Control(np.asarray(tau).astype(self.dtype), info)
@@ -125,12 +133,12 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         """Newton's method on the nearest point: tau <- start + A+ (A (tau - start) - phi)."""
         start = now = inputs["tau"]
         for _ in range(_PROJECTION_CAP):
-            status, result = self.system(inputs | {"tau": now})
+            status, result = self.system(inputs | {"tau": now}, "phi", "A")
             if status < 0:
                 return Control(last, refusal(status))
             A = result["A"].reshape(self.scene.rows, self.scene.controls)
             zeros = np.zeros(self.scene.controls)
-            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"], zeros, self._plan)
+            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"].ravel(), zeros, self._plan)
             if info.status < 0:
                 return Control(last, info)
             now, before = start + np.asarray(move, dtype=float), now
