@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
-from servogen.ir.program import Program
+from servogen.ir.infix import infix
+from servogen.ir.program import Input, Program
 from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -142,8 +143,13 @@ def _model(scene: Scene, staged: Staged) -> tuple[StructField, ...]:
     for i in staged.tick.inputs:
         if i.kind == "model":
             parameter = known.get(i.name)
-            fields.append(_struct_field(parameter) if parameter else StructField(i.name, i.size))
+            fields.append(_struct_field(parameter) if parameter else _computed_field(i, staged.prepare))
     return tuple(fields)
+
+
+def _computed_field(i: Input, prepare: Program) -> StructField:
+    """A field that prepare computes, its formula as the text."""
+    return StructField(i.name, i.size, text=infix(prepare, prepare.output(i.name).nodes[0]))
 
 
 def _mass_tolerance(scene: Scene, scalar: Scalar) -> float:
