@@ -54,9 +54,7 @@ class Pendulum:
     def Q(self) -> Any:
         """Eq. (20)."""
         coupling = self.m * self.L / 2 * self.R * self.cos
-        return np.array(
-            [[self.m * self.R**2 + self.I_D, coupling], [coupling, self.m * self.L**2 / 4 + self.I_B]]
-        )
+        return np.array([[self.m * self.R**2 + self.I_D, coupling], [coupling, self.m * self.L**2 / 4 + self.I_B]])
 
     @property
     def P(self) -> Any:
@@ -158,7 +156,9 @@ def independent_form(p: Pendulum, cross: float, last: int) -> tuple[float, float
     return A, mu / below
 
 
-@pytest.mark.parametrize(("cross", "last", "right"), [(1.0, 1, True), (-0.5, 1, False), (1.0, 0, False), (-0.5, 0, False)])
+@pytest.mark.parametrize(
+    ("cross", "last", "right"), [(1.0, 1, True), (-0.5, 1, False), (1.0, 0, False), (-0.5, 0, False)]
+)
 def test_eqs_27_to_29_independent_form(cross: float, last: int, right: bool) -> None:
     """u_D' = A u_I' + B must meet psi' = -psi: cross terms of (27)-(29), and I_B u2^2 (printed u1^2) in (29)."""
     met = 0

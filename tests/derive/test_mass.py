@@ -46,19 +46,26 @@ def test_the_way_that_is_chosen(mass: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mass", "n"), [(mass, n) for mass in MASSES for n in (1, 2, 4) if n > 1 or mass not in ("exchange", "nonsymmetric")]
+    ("mass", "n"),
+    [(mass, n) for mass in MASSES for n in (1, 2, 4) if n > 1 or mass not in ("exchange", "nonsymmetric")],
 )
 @pytest.mark.parametrize("transposed", [False, True])
 def test_the_solution_solves(mass: str, n: int, transposed: bool) -> None:
     scene_model = random_model(5, n, n, mass)
     mech = scene_model.mechanism
-    scene = sg.Scene("solve", mech, [sg.Nonholonomic("all", mech.u, -1.0)], scene_model.parameters, scene_model.references)
+    scene = sg.Scene(
+        "solve", mech, [sg.Nonholonomic("all", mech.u, -1.0)], scene_model.parameters, scene_model.references
+    )
     right = ca.SX.sym("b", n, 3)
     solution, _ = solve_with_mass(scene, right, transposed)
     inputs = [(Input("q", mech.q.size1()), mech.q), (Input("t", 1), mech.t), (Input("b", 3 * n), ca.vec(right))]
     program = optimise(lower_expressions("solve", inputs, [("x", solution), ("Q", mech.Q)]))
     rng = np.random.default_rng(0)
-    states = {"q": rng.uniform(-3, 3, (20, mech.q.size1())), "t": rng.uniform(0, 3, (20, 1)), "b": rng.normal(size=(20, 3 * n))}
+    states = {
+        "q": rng.uniform(-3, 3, (20, mech.q.size1())),
+        "t": rng.uniform(0, 3, (20, 1)),
+        "b": rng.normal(size=(20, 3 * n)),
+    }
     values = evaluate(program, states)
     for k in range(20):
         Q = values["Q"][k].T if transposed else values["Q"][k]

@@ -18,7 +18,10 @@ class Motion:
         mech, fields = scene.mechanism, scene.input_fields()
         self.scene = scene
         self.names = [f.name for f in fields]
-        symbols = [f.symbol for f in fields if f.name != "tau"] + [mech.tau, *(f.symbol for f in scene.parameters or ())]
+        symbols = [f.symbol for f in fields if f.name != "tau"] + [
+            mech.tau,
+            *(f.symbol for f in scene.parameters or ()),
+        ]
         parts = [mech.q_dot, mech.Q, mech.P, mech.G, *(_constraint(c) for c in scene.constraints)]
         self.function = ca.Function("parts", symbols, [ca.densify(p) for p in parts])
         self.parameters = [list(f.default) for f in scene.parameters or ()]
@@ -67,7 +70,9 @@ def _theta(scene: sg.Scene, c: Any) -> list[Any]:
     parts = [c.Theta1, c.Theta2] if isinstance(c, sg.Holonomic) else [c.Theta]
     symbols = [f.symbol for f in scene.parameters or ()]
     values = [list(f.default) for f in scene.parameters or ()]
-    return [v.full() for v in ca.Function("theta", symbols, [ca.densify(p) for p in parts]).call([ca.DM(v) for v in values])]
+    return [
+        v.full() for v in ca.Function("theta", symbols, [ca.densify(p) for p in parts]).call([ca.DM(v) for v in values])
+    ]
 
 
 def first(values: Any) -> Any:
@@ -132,7 +137,7 @@ def test_controls_involved_system_is_the_motion(mass: str) -> None:
 
 
 @pytest.mark.parametrize(("m", "l", "n"), [(1, 1, 1), (1, 2, 2), (2, 2, 4), (2, 5, 3), (3, 3, 3)])
-def test_other_shapes(m: int, l: int, n: int) -> None:  # noqa: E741
+def test_other_shapes(m: int, l: int, n: int) -> None:
     for kind in ("nonholonomic", "controls"):
         scene = random_scene(7, kind, m, l, n)
         formulation, quantities = derived(scene)

@@ -3,7 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-
 from servogen.ir.evaluate import evaluate
 from servogen.ir.infix import infix
 from servogen.ir.lower import lower_expressions

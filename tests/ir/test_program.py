@@ -93,7 +93,14 @@ def test_live_and_rebuild(program: Program) -> None:
 
 
 def test_operations_are_free_of_leaves_and_signs() -> None:
-    instrs = (X, Instr("const", (), Fraction(2)), Instr("neg", (0,)), Instr("mul", (1, 2)), Instr("sin", (3,)), Instr("sin", (0,)))
+    instrs = (
+        X,
+        Instr("const", (), Fraction(2)),
+        Instr("neg", (0,)),
+        Instr("mul", (1, 2)),
+        Instr("sin", (3,)),
+        Instr("sin", (0,)),
+    )
     program = Program("f", (Input("x", 1),), instrs, (Output("o", 2, 1, (4, 5)),))
     assert program.operations() == {"total": 3, "mul": 1, "sin": 2}
 
@@ -142,7 +149,9 @@ def test_lowered_programs_agree_with_casadi(graph: Any, seed: int) -> None:
     states = {"x": np.round(rng.uniform(-3, 3, (4, 3)), 1), "p": np.round(rng.uniform(-3, 3, (4, 2)), 1)}
     values = evaluate(program, states)
     for n in range(4):
-        for (label, _), true in zip(outputs, function.call([ca.DM(states["x"][n]), ca.DM(states["p"][n])]), strict=True):
+        for (label, _), true in zip(
+            outputs, function.call([ca.DM(states["x"][n]), ca.DM(states["p"][n])]), strict=True
+        ):
             assert values[label][n].shape == true.shape
             np.testing.assert_allclose(values[label][n], true.full(), rtol=1e-10, atol=1e-10)
 
@@ -211,7 +220,15 @@ def test_fifty_digits_are_fifty() -> None:
 
 @pytest.mark.parametrize(
     ("op", "args"),
-    [("sqrt", (-1,)), ("log", (-1,)), ("acos", (2,)), ("div", (0, 0)), ("div", (1, 0)), ("pow", (-1, 0.5)), ("fmod", (1, 0))],
+    [
+        ("sqrt", (-1,)),
+        ("log", (-1,)),
+        ("acos", (2,)),
+        ("div", (0, 0)),
+        ("div", (1, 0)),
+        ("pow", (-1, 0.5)),
+        ("fmod", (1, 0)),
+    ],
 )
 def test_what_has_no_value_is_not_finite(op: str, args: tuple[float, ...]) -> None:
     instrs = (*(Instr("const", (), Fraction(a)) for a in args), Instr(op, tuple(range(len(args)))))
@@ -221,7 +238,9 @@ def test_what_has_no_value_is_not_finite(op: str, args: tuple[float, ...]) -> No
 
 
 def test_constants_beyond_the_type_are_infinite() -> None:
-    program = Program("f", (), (Instr("const", (), Fraction(10) ** 400), Instr("neg", (0,))), (Output("o", 1, 1, (1,)),))
+    program = Program(
+        "f", (), (Instr("const", (), Fraction(10) ** 400), Instr("neg", (0,))), (Output("o", 1, 1, (1,)),)
+    )
     assert node_values(program, {})[0][0] == np.inf
     assert evaluate(program, {}, np.float32)["o"][0, 0, 0] == -np.inf
 

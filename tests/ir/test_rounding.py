@@ -54,7 +54,9 @@ def test_functions_keep_to_their_bound(scalar: str, program: Program, seed: int)
     """numpy's functions claim less than the C library's: up to four units of a function's value are allowed each."""
     states = states_in(scalar, seed)
     values = evaluate(program, states)
-    if any(np.any(np.abs(v) > 1e3) for v in values.values()) or not all(np.all(np.isfinite(v)) for v in values.values()):
+    if any(np.any(np.abs(v) > 1e3) for v in values.values()) or not all(
+        np.all(np.isfinite(v)) for v in values.values()
+    ):
         return
     bounds = rounding_bounds(program, states, scalar)
     for name, error in errors(program, states, scalar).items():
@@ -92,7 +94,12 @@ def test_cancellation_shows_in_the_bound() -> None:
 
 
 def test_exact_things_have_no_error() -> None:
-    instrs = (Instr("input", (), ("x", 0)), Instr("const", (), Fraction(1, 2)), Instr("neg", (0,)), Instr("fmax", (1, 2)))
+    instrs = (
+        Instr("input", (), ("x", 0)),
+        Instr("const", (), Fraction(1, 2)),
+        Instr("neg", (0,)),
+        Instr("fmax", (1, 2)),
+    )
     program = Program("f", (Input("x", 1),), instrs, (Output("o", 4, 1, (0, 1, 2, 3)),))
     assert np.all(rounding_bounds(program, {"x": [[0.3], [-7.0]]}, "float32")["o"] == 0)
 

@@ -31,7 +31,9 @@ NAMES = [run.__name__ for run in EVERY]
 def test_the_same_values_at_50_digits(run: Callable[[Program], Program], program: Program, seed: int) -> None:
     after = check_legal(run(program))
     assert after.inputs == program.inputs
-    assert [(o.name, o.rows, o.columns) for o in after.outputs] == [(o.name, o.rows, o.columns) for o in program.outputs]
+    assert [(o.name, o.rows, o.columns) for o in after.outputs] == [
+        (o.name, o.rows, o.columns) for o in program.outputs
+    ]
     same_to_50_digits(program, after, random_states(seed))
 
 
@@ -317,7 +319,9 @@ def brute_force_alive(program: Program) -> int:
         later = {a for i in program.instrs[k + 1 :] for a in i.args}
         now = set(program.instrs[k].args)  # operands live on while the result is made
         alive = [
-            n for n in range(k + 1) if program.instrs[n].op not in ("input", "const") and (n in later | outputs | now or n == k)
+            n
+            for n in range(k + 1)
+            if program.instrs[n].op not in ("input", "const") and (n in later | outputs | now or n == k)
         ]
         most = max(most, len(alive))
     return most

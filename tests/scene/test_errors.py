@@ -251,7 +251,8 @@ def test_unstable_theta_vector() -> None:
 
 
 @pytest.mark.parametrize(
-    "Theta", [[[-1, 2], [2, -1]], [[0, 1], [-1, 0]], [[1, -2], [1, -1]], [[-1, 1], [1, -1]], [[-0.1, -0.3], [-0.3, -0.9]]]
+    "Theta",
+    [[[-1, 2], [2, -1]], [[0, 1], [-1, 0]], [[1, -2], [1, -1]], [[-1, 1], [1, -1]], [[-0.1, -0.3], [-0.3, -0.9]]],
 )
 def test_unstable_theta_matrix(Theta: Any) -> None:
     refused(lambda: sg.Nonholonomic("task", u, Theta), "constraint 'task': Theta is unstable", "Hurwitz")
@@ -394,8 +395,12 @@ def test_references_of_too_low_order() -> None:
         lambda: built([path], references=ref),
         "constraint 'path' needs the derivative of 'r_dot'", "reference 'r'", "order=2",
     )  # fmt: skip
-    refused(lambda: built([speed(u[0] - ref.r_dot)], references=ref), "'speed' needs the derivative of 'r_dot'", "order=2")
-    message = refused(lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "2 is the highest")
+    refused(
+        lambda: built([speed(u[0] - ref.r_dot)], references=ref), "'speed' needs the derivative of 'r_dot'", "order=2"
+    )
+    message = refused(
+        lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "2 is the highest"
+    )
     assert "order=3" not in message
     law = sg.ControlsInvolved("law", tau[0] - ref.r_dot)
     refused(lambda: built([law], references=ref), "'law' needs the derivative of 'r_dot'")
@@ -476,7 +481,9 @@ def test_a_constraint_on_configuration_alone_does_not_reach() -> None:
 
 def test_duplicate_rows_are_named() -> None:
     pair = [speed(name="one"), speed(2 * u[0] - q[0], name="two")]
-    with pytest.warns(UserWarning, match=r"rows of S can never be independent \(constraint 'one' and constraint 'two'\)"):
+    with pytest.warns(
+        UserWarning, match=r"rows of S can never be independent \(constraint 'one' and constraint 'two'\)"
+    ):
         built(pair)
     three, v = ca.SX.sym("q", 3), ca.SX.sym("u", 3)
     mech = sg.Mechanism(q=three, u=v, tau=ca.SX.sym("tau", 3), Q=ca.DM.eye(3), P=ca.DM.zeros(3), G=ca.DM.eye(3))
@@ -487,7 +494,9 @@ def test_duplicate_rows_are_named() -> None:
 
 def test_more_rows_than_controls_are_named() -> None:
     mech = mechanism(tau=ca.SX.sym("tau"), G=[1.0, 1.0])
-    with pytest.warns(UserWarning, match=r"2 rows of constraints \('speed', 'other'\) for 1 controls can never be indep"):
+    with pytest.warns(
+        UserWarning, match=r"2 rows of constraints \('speed', 'other'\) for 1 controls can never be indep"
+    ):
         scene([speed(), speed(u[1], name="other")], mech)
 
 

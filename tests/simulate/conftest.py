@@ -1,5 +1,7 @@
 """A mass on rails whose closed loop is known in closed form, and one that escapes to infinity."""
 
+from collections.abc import Callable
+
 import casadi as ca
 import pytest
 import servogen as sg
@@ -38,6 +40,36 @@ def escape() -> tuple[sg.Scene, Simulation]:
         [sg.Nonholonomic("first", u[0], Theta=-1.0)],
     )
     return scene, Simulation(start={"q": [0, 0], "u": [1, 1]}, duration=1.0, step=1e-3)
+
+
+def tracker() -> tuple[sg.Scene, Simulation]:
+    """q follows r = (sin 2t, t^2), on which it starts; no parameters, no units."""
+    q, u, tau = (ca.SX.sym(n, 2) for n in ("q", "u", "tau"))
+    ref = sg.References(r=sg.Ref([0.0, 0.0], order=2))
+    scene = sg.Scene(
+        "tracker",
+        sg.Mechanism(q=q, u=u, tau=tau, Q=ca.SX.eye(2), P=ca.SX.zeros(2), G=ca.SX.eye(2)),
+        [sg.Holonomic("track", q - ref.r, Theta1=-3.0, Theta2=-2.0)],
+        references=ref,
+    )
+    return scene, Simulation(
+        start={"q": [0, 0], "u": [2, 0]},
+        duration=2.0,
+        step=2e-3,
+        references={"r": lambda t: ca.vertcat(ca.sin(2 * t), t**2)},
+        outputs={"r": ref.r[0]},
+    )
+
+
+@pytest.fixture(scope="session")
+def own_scenes() -> dict[str, Callable[[], tuple[sg.Scene, Simulation]]]:
+    """The scenes of this file by name."""
+    return {"rail": rail, "escape": escape, "tracker": tracker}
+
+
+@pytest.fixture(scope="session")
+def tracker_loop() -> ClosedLoop:
+    return ClosedLoop(*tracker())
 
 
 @pytest.fixture(scope="session")

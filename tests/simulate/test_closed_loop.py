@@ -122,6 +122,22 @@ def test_time_dependent_scenes_see_the_time_of_the_stage():
     assert np.array_equal(run.outputs["t"], run.t)
 
 
+@pytest.mark.parametrize("hold", [False, True])
+def test_references_that_move_come_with_their_rates(tracker_loop, hold):
+    """q starts on r = (sin 2t, t^2) with its rate, and must stay there; without r_ddot it would lag."""
+    run = tracker_loop.run(hold=hold)
+    exact = np.column_stack([np.sin(2 * run.t), run.t**2])
+    assert run.stop.reason == "finished"
+    assert np.abs(run.q - exact).max() < (6e-3 if hold else 1e-10)
+    assert np.allclose(run.outputs["r"], exact[:, 0], rtol=0, atol=1e-15)
+    assert np.abs(run.ideal).max() < 1e-15
+
+
+def test_only_references_move(tracker_loop):
+    with pytest.raises(sg.SceneError, match="is no reference"):
+        ClosedLoop(tracker_loop.scene, Simulation(references={"s": lambda t: t}))
+
+
 def test_y_as_an_input_is_constant_over_the_run():
     q, u, tau = (ca.SX.sym(n, 2) for n in ("q", "u", "tau"))
     scene = sg.Scene(
@@ -130,7 +146,8 @@ def test_y_as_an_input_is_constant_over_the_run():
         [sg.Nonholonomic("sum", u[0] + u[1], Theta=-1.0)],
         y="input",
     )
-    run = simulate(scene, Simulation(start={"q": [0, 0], "u": [1, 0]}), references={"y": [3, 0]}, duration=1.0, step=0.01)
+    simulation = Simulation(start={"q": [0, 0], "u": [1, 0]}, duration=1.0, step=0.01)
+    run = simulate(scene, simulation, references={"y": [3, 0]})
     # the null space of [1 1] keeps (y_0 - y_1) / 2 of y
     assert np.allclose(run.u[:, 0] - run.u[:, 1], 1 + 3 * run.t, rtol=1e-12)
     assert np.allclose(run.psi[:, 0], np.exp(-run.t), rtol=1e-9)
@@ -186,12 +203,22 @@ def test_a_servo_scene_has_no_phi(escape_loop):
         _ = run.phi
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("scalar", ["float64", "float32"])
-@pytest.mark.parametrize("name", ["spacecraft_smooth", "double_pendulum_energy"])
-def test_the_loop_is_clean_c99(tmp_path: Path, need_tool, compiler, scalar, name):
+@pytest.mark.parametrize(
+    ("name", "compiler", "scalar"),
+    [
+        ("spacecraft_smooth", "gcc", "float64"),
+        ("spacecraft_smooth", "clang", "float32"),
+        ("double_pendulum_energy", "gcc", "float32"),
+        ("double_pendulum_energy", "clang", "float64"),
+        ("tracker", "gcc", "float32"),
+        ("tracker", "clang", "float64"),
+        ("escape", "gcc", "float64"),
+    ],
+)
+def test_the_loop_is_clean_c99(tmp_path: Path, need_tool, own_scenes, name, compiler, scalar):
     compile_with = need_tool(compiler, compiler)
-    sources = write_loop(*load_simulation(name), tmp_path, scalar)
+    scene, simulation = own_scenes[name]() if name in own_scenes else load_simulation(name)
+    sources = write_loop(scene, simulation, tmp_path, scalar)
     include = [f"-I{folder}" for folder in (sources.controller.path, *sources.include_folders)]
     bits = f"-DSERVOGEN_SCALAR_BITS={scalar.removeprefix('float')}"
     subprocess.run([compile_with, *STRICT, bits, *include, "-c", *sources.sources], check=True, cwd=tmp_path)

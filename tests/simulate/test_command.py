@@ -14,13 +14,13 @@ from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import check_simulation
 
-SCENE = '''
+SCENE = """
 import casadi as ca
 import servogen as sg
 q, u, tau = (ca.SX.sym(n) for n in ("q", "u", "tau"))
 scene = sg.Scene("falls", sg.Mechanism(q=q, u=u, tau=tau, Q=1, P={P}, G={G}), [sg.Nonholonomic("n", u - 1, Theta=-1.0)])
 simulation = {simulation}
-'''
+"""
 
 
 def scene_file(folder: Path, simulation: str, P: str = "0", G: str = "1") -> Path:
@@ -120,7 +120,7 @@ def test_wrong_input_is_exit_code_two(monkeypatch, tmp_path, arguments):
 
 
 def test_simulation_of_another_type_is_named(tmp_path):
-    with pytest.raises(SceneError, match="make it an sg.Simulation"):
+    with pytest.raises(SceneError, match="make it an sg"):
         load_simulation(str(scene_file(tmp_path, "3")))
 
 

@@ -25,7 +25,9 @@ from servogen.simulate.trajectory import Trajectory
 @click.option("--duration", type=float, help="Seconds; default as in the scene's file, else 10.")
 @click.option("--step", type=float, help="Seconds between rows; default as in the scene's file, else 0.001.")
 @click.option("--hold", is_flag=True, help="One tick of the controller a step, tau held in between, as in firmware.")
-@click.option("--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1.")
+@click.option(
+    "--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1."
+)
 @click.option("--reference", "references", multiple=True, metavar="NAME=NUMBERS", help="A reference, or y; constant.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBERS", help="A parameter of the model.")
 @click.option("--no-project", is_flag=True, help="Start from tau as given, even if phi is not zero there.")

@@ -36,7 +36,7 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
     projection = cutter.kernel(constraint, matrix) if scene.kind == "controls" else None
     cap = 0 if projection is None else 1 if formulation.affine_in_tau else PROJECTION_CAP
     control = ControlPlan(cutter.kernel(*system), (matrix, right), y, projection, cap)
-    always = {"tau"} if scene.kind == "controls" else {"y"} if y == "input" else set()
+    always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
     solver = plan_solver(scene.rows, scene.controls, target.scalar, scene.solver)
     return Module(

@@ -3,11 +3,12 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from servogen.errors import SceneError
 from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import reads, statements
@@ -28,6 +29,7 @@ class SourceFile:
     text: str
 
 
+@cache
 def environment() -> Environment:
     """Templates of servogen; a name that is not defined is an error."""
     templates = Environment(
@@ -44,6 +46,7 @@ def environment() -> Environment:
 
 def render(module: Module) -> tuple[SourceFile, ...]:
     """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant."""
+    _check_defaults(module)
     prefix = module.target.prefix
     templates = environment()
     context = _context(module)
@@ -60,9 +63,13 @@ def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
     lit = partial(literal, scalar=scalar)
-    plant = {"lit": lit, "bits": BITS[scalar], "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]}
-    numbers = plant if module.solver is None else solver_context(module.solver, module.target.prefix, lit)
-    return module.context() | numbers | {
+    if module.solver is not None:
+        numbers = solver_context(module.solver, module.target.prefix, lit)
+    else:
+        statuses = [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]
+        numbers = {"lit": lit, "bits": BITS[scalar], "statuses": statuses}
+    named = module.context() | numbers
+    return named | {
         "version": VERSION,
         "title": _title(module),
         "math": module.needs_libm,
@@ -80,6 +87,15 @@ def _title(module: Module) -> str:
     if module.solver is None:
         return f"functions of scene {module.scene}: {', '.join(e.name for e in module.entry_points)}"
     return f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}"
+
+
+def _check_defaults(module: Module) -> None:
+    """SceneError naming the parameter whose default does not fit the type."""
+    for f in module.parameters:
+        try:
+            _initialiser(f.default, module.target.scalar)
+        except SceneError as error:
+            raise SceneError(f"parameter {f.name!r}: {error}") from None
 
 
 def _initialiser(values: tuple[float, ...], scalar: str) -> str:

@@ -67,7 +67,9 @@ class Scene:
             value = kind() if getattr(self, word) is None else getattr(self, word)
             if not isinstance(value, kind):
                 got = type(value).__name__
-                raise SceneError(f"scene {self.name!r}: {word} must be sg.{kind.__name__}(name=default, ...); got {got}")
+                raise SceneError(
+                    f"scene {self.name!r}: {word} must be sg.{kind.__name__}(name=default, ...); got {got}"
+                )
             object.__setattr__(self, word, value)
         if self.y is not None and not (isinstance(self.y, str) and self.y == "input"):
             if isinstance(self.y, str):

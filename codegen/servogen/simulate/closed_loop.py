@@ -15,7 +15,14 @@ from servogen.results import FloatArray, Status
 from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.ideal import ideal_decay
-from servogen.simulate.simulation import Simulation, check_simulation, known_symbols, sized, start_values
+from servogen.simulate.simulation import (
+    Simulation,
+    check_simulation,
+    known_symbols,
+    moving_references,
+    sized,
+    start_values,
+)
 from servogen.simulate.sources import LoopSources, write_loop
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import compile_library
@@ -34,6 +41,7 @@ _REASONS: dict[int, Reason] = {
     3: "controller",
     4: "plant",
     5: "stop expression",
+    6: "reference",
 }
 
 Progress = Callable[[int, int], None]
@@ -55,7 +63,13 @@ def simulate(
     """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
     loop = ClosedLoop(scene, simulation, scalar)
     return loop.run(
-        start=start, duration=duration, step=step, references=references, parameters=parameters, hold=hold, project=project
+        start=start,
+        duration=duration,
+        step=step,
+        references=references,
+        parameters=parameters,
+        hold=hold,
+        project=project,
     )
 
 
@@ -66,7 +80,11 @@ class ClosedLoop:
     """
 
     def __init__(
-        self, scene: Scene, simulation: Simulation | None = None, scalar: Scalar = "float64", compiler: str | None = None
+        self,
+        scene: Scene,
+        simulation: Simulation | None = None,
+        scalar: Scalar = "float64",
+        compiler: str | None = None,
     ) -> None:
         if scalar not in EPSILON:
             raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
@@ -95,7 +113,8 @@ class ClosedLoop:
         """Integrate from t = 0 by fixed steps of the classical Runge-Kutta method.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
-        shortened so that it divides the duration. references: y and references by name, constant over the run.
+        shortened so that it divides the duration. references: y and references by name, constant over the run unless
+        the simulation moves them.
         hold: the controller has one tick a step (`control`, or `step(dt)`) and tau is held in between, as in firmware;
         otherwise it is called in every stage. project: controls-involved scenes first take the nearest tau with
         phi = 0. progress: called with (steps done, steps) from time to time.
@@ -193,6 +212,7 @@ class ClosedLoop:
         columns = {"t": t, "q": q, "u": u, "tau": tau} | {
             n: np.tile(v, (len(t), 1)) for n, v in {**parameters, **given}.items()
         }
+        columns |= self._moving(t[:, 0].astype(float))
         outputs = self._evaluate(self.simulation.outputs, columns)
         first = {n: v[0] for n, v in columns.items()} if len(t) else {}
         return Trajectory(
@@ -205,7 +225,7 @@ class ClosedLoop:
             u=u,
             tau=tau,
             constraint=constraint,
-            ideal=ideal_decay(self.scene, first, t[:, 0].astype(float)) if first else constraint,
+            ideal=ideal_decay(self.scene, first, step, len(t)) if first else constraint,
             status=marks[:, 0],
             rank=marks[:, 1],
             sigma_min=sigma_min[:, 0],
@@ -216,6 +236,13 @@ class ClosedLoop:
             inputs=given,
         )
 
+    def _moving(self, t: FloatArray) -> dict[str, FloatArray]:
+        """The references that move, along the rows."""
+        now = ca.SX.sym("t")
+        moving = moving_references(self.scene, self.simulation, now)
+        functions = {name: ca.Function(name, [now], [ca.densify(sx)]) for name, sx in moving.items()}
+        return {n: np.array(f.map(len(t))(t.reshape(1, -1))).T for n, f in functions.items() if len(t)}
+
     def _evaluate(self, expressions: Mapping[str, Any], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Expressions along the rows, by CasADi's virtual machine: another hand than the generated C."""
         count = len(columns["t"])
@@ -223,8 +250,8 @@ class ClosedLoop:
             return {name: np.zeros(count) for name in expressions}
         symbols = known_symbols(self.scene)
         function = ca.Function("outputs", [s for _, s in symbols], list(expressions.values()))
-        values = function.map(count)(*(ca.DM(columns[n].astype(float).T) for n, _ in symbols))
-        values = values if isinstance(values, tuple) else (values,)
+        given = [ca.DM(columns[n].astype(float).T) for n, _ in symbols]
+        values = function.map(count).call(given)
         return {n: np.array(v, dtype=float).ravel() for n, v in zip(expressions, values, strict=True)}
 
     def _decay(self, outputs: dict[str, FloatArray], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -233,9 +260,7 @@ class ClosedLoop:
         rates = self._evaluate({n: rate for n, (rate, _) in decay.items()}, columns)
         limits = self._evaluate({n: limit for n, (_, limit) in decay.items()}, columns)
         t = columns["t"][:, 0].astype(float)
-        return {
-            n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay
-        }
+        return {n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay}
 
 
 class _Record(ct.Structure):

@@ -1,6 +1,6 @@
 """Where a simulated run of a scene starts, how long it lasts, what is drawn and what stops it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray
-from servogen.scene.convert import to_sx
+from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
+from servogen.scene.symbols import chains
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,8 @@ class Simulation:
     decay: name of an output -> (rate, limit): it ought to follow limit + (value(0) - limit) exp(rate t); numbers or SX
         of parameters and references.
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
+    references: name -> function of time, lambda t: SX, for references (and y) that move; their rates r_dot and r_ddot,
+        where the scene declares them, are its derivatives. What is not here is constant, see start.
     units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
     """
 
@@ -34,6 +37,7 @@ class Simulation:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
+    references: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -60,10 +64,13 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
                     f"simulation: {what} holds the symbol {symbol.name()!r}, which is not an input of scene "
                     f"{scene.name!r}; use its q, u, tau, t, parameters and references"
                 )
+    moving_references(scene, simulation, ca.SX.sym("t"))
     names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
-            raise SceneError(f"simulation: units[{name!r}] belongs to nothing that is drawn; there are {', '.join(names)}")
+            raise SceneError(
+                f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
+            )
 
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
@@ -71,6 +78,24 @@ def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
     return fields if scene.kind == "controls" else [*fields, ("tau", scene.mechanism.tau)]
+
+
+def moving_references(scene: Scene, simulation: Simulation, t: Any) -> dict[str, Any]:
+    """name -> SX of t for every reference that moves, its declared rates included, and for y."""
+    assert scene.references is not None
+    chain = {c.chain[0].name: c.chain for c in chains(scene.references)}
+    moving: dict[str, Any] = {}
+    for name, function in simulation.references.items():
+        if name not in chain and not (name == "y" and scene.y == "input"):
+            raise SceneError(
+                f"simulation: references[{name!r}] is no reference; there are {', '.join(chain) or 'none'}"
+            )
+        fields = [(f.name, f.size) for f in chain[name]] if name in chain else [("y", scene.controls)]
+        value = column(function(t), f"simulation: references[{name!r}]", fields[0][1])
+        for field_name, _ in fields:
+            moving[field_name] = value
+            value = ca.jacobian(value, t)
+    return moving
 
 
 def start_values(scene: Scene, simulation: Simulation, given: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:

@@ -1,6 +1,6 @@
 """Scene -> the C of its closed loop: controller, plant, stop expressions, and the loop that calls them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,14 @@ from servogen.plan.module import Module, StructField
 from servogen.render.render import environment, render
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Scalar
-from servogen.simulate.simulation import Simulation
+from servogen.simulate.simulation import Simulation, moving_references
 from servogen.verify.harness import firmware_sim
 from servogen.version import VERSION
 
 
 @dataclass(frozen=True, eq=False)
 class LoopSources:
-    """Everything that is compiled: three packages (watch: the stop expressions) and the folder of <prefix>_loop.[ch].
+    """Everything that is compiled: packages (watch: stop expressions; guide: moving references), <prefix>_loop.[ch].
 
     given: the inputs that are constant over a run (y and references) in the order of the C.
     """
@@ -28,18 +28,19 @@ class LoopSources:
     controller: Package
     plant: Package
     watch: Package | None
+    guide: Package | None
     folder: Path
     given: tuple[StructField, ...]
 
     @property
     def include_folders(self) -> tuple[Path, ...]:
-        packages = [p.path for p in (self.plant, self.watch) if p is not None]
+        packages = [p.path for p in (self.plant, self.watch, self.guide) if p is not None]
         return (self.folder, *packages, firmware_sim() / "harness", firmware_sim() / "simulate")
 
     @property
     def sources(self) -> tuple[Path, ...]:
         """C files beside the controller's."""
-        packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch) if p is not None]
+        packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch, self.guide) if p is not None]
         hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "record.c")]
         return (self.folder / f"{self.controller.prefix}_loop.c", *packages, *hand_written)
 
@@ -49,13 +50,18 @@ def write_loop(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) 
     controller = build(scene, out / "controller", scalar)
     plant = build_plant(scene, out / "plant", scalar)
     watch = _build_watch(scene, simulation, out / "watch", scalar) if simulation.stop else None
+    guide = _build_guide(scene, simulation, out / "guide", scalar) if simulation.references else None
     folder = out / "loop"
     folder.mkdir(parents=True, exist_ok=True)
-    context = _context(scene, controller.module, plant.module, watch.module if watch else None)
+    context = _context(scene, controller.module, plant.module) | {
+        "watch": watch.module if watch else None,
+        "guide": guide.module if guide else None,
+        "events": len(simulation.stop),
+    }
     for suffix in ("h", "c"):
         text = environment().get_template(f"loop.{suffix}.j2").render(context)
         (folder / f"{controller.prefix}_loop.{suffix}").write_text(text, encoding="utf-8", newline="\n")
-    return LoopSources(controller, plant, watch, folder, _given(scene))
+    return LoopSources(controller, plant, watch, guide, folder, _given(scene))
 
 
 def _build_watch(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> Package:
@@ -66,13 +72,25 @@ def _build_watch(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar
     return write(render(module), out, module, scene)
 
 
+def _build_guide(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> Package:
+    """The references that move, as functions of t."""
+    mech = scene.mechanism
+    t = ca.SX.sym("t") if mech.t is None else mech.t
+    moving = moving_references(scene, simulation, t)
+    timed = scene if mech.t is not None else replace(scene, mechanism=replace(mech, t=t))
+    quantities = tuple(Quantity(name, sx, "", f"{name}(t)") for name, sx in moving.items())
+    no_mass = MassTreatment("identity", "no solve")
+    module = compile_functions(timed, quantities, no_mass, target_for(f"{scene.name}_guide", scalar, None))
+    return write(render(module), out, module, scene)
+
+
 def _given(scene: Scene) -> tuple[StructField, ...]:
     varying = ("q", "u", "t", "tau")
     fields = [f for f in scene.input_fields() if f.name not in varying]
     return tuple(StructField(f.name, f.size, f.unit, f.text, f.default) for f in fields)
 
 
-def _context(scene: Scene, controller: Module, plant: Module, watch: Module | None) -> dict[str, Any]:
+def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
     mech = scene.mechanism
     nq, nu = mech.q.size1(), mech.u.size1()
     given = _with_offsets(_given(scene))
@@ -80,8 +98,6 @@ def _context(scene: Scene, controller: Module, plant: Module, watch: Module | No
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "watch": watch,
-        "events": watch.entry_points[0].kernel.results[0].size if watch else 0,
         "servo": scene.kind == "servo",
         "constraint": "psi" if scene.kind == "servo" else "phi",
         "given": given,

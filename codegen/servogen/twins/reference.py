@@ -124,7 +124,11 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         rate = super()._control("control", inputs, last)
         if rate.info.status < 0:
             return Control(last, rate.info)
-        projected = self._project(inputs | {"tau": inputs["tau"] + dt * rate.value}, last)
+        with np.errstate(over="ignore"):
+            moved = inputs["tau"] + dt * rate.value
+        if not finite([self._round(moved)]):
+            return Control(last, refusal(Status.OVERFLOW))
+        projected = self._project(inputs | {"tau": moved}, last)
         if 0 <= projected.info.status < rate.info.status:
             return Control(projected.value, _with_status(projected.info, rate.info.status))
         return projected

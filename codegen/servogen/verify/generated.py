@@ -23,10 +23,19 @@ def differences(committed: str | Path) -> list[str]:
     """What regenerating would change in `committed`, one line a file; empty if it is up to date."""
     with tempfile.TemporaryDirectory(prefix="servogen-generated-") as fresh:
         regenerate(fresh)
-        new, old = _files(Path(fresh)), _files(Path(committed))
+        return compare(Path(committed), Path(fresh))
+
+
+def compare(committed: Path, fresh: Path) -> list[str]:
+    """How two folders differ, one line a file, with the first line of the file that does."""
+    new, old = _files(fresh), _files(committed)
     lines = [f"{name}: missing" for name in new.keys() - old.keys()]
     lines += [f"{name}: no scene makes it" for name in old.keys() - new.keys()]
-    lines += [f"{name}: {_first_difference(old[name], new[name])}" for name in new.keys() & old.keys() if new[name] != old[name]]
+    lines += [
+        f"{name}: {_first_difference(old[name], new[name])}"
+        for name in new.keys() & old.keys()
+        if new[name] != old[name]
+    ]
     return sorted(lines)
 
 
