@@ -18,7 +18,7 @@ from support.programs import ANY, INPUTS, TAME, examples, programs, random_state
 # ---- text ----
 
 
-@examples(100)
+@examples(60)
 @given(programs(ops=ANY))
 def test_text_reads_back(program: Program) -> None:
     assert parse(str(program)) == program
@@ -139,7 +139,7 @@ def graphs(draw: Any) -> tuple[list[tuple[Input, Any]], list[tuple[str, Any]]]:
     return [(Input("x", 3), x), (Input("p", 2, "parameter"), p)], outputs
 
 
-@examples(120)
+@examples(70)
 @given(graphs(), st.integers(0, 2**32 - 1))
 def test_lowered_programs_agree_with_casadi(graph: Any, seed: int) -> None:
     inputs, outputs = graph

@@ -36,7 +36,7 @@ def errors(program: Program, states: dict[str, Any], scalar: str) -> dict[str, n
 
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
-@examples(120)
+@examples(60)
 @given(programs(ops=ARITHMETIC, most=12), st.integers(0, 2**32 - 1))
 def test_arithmetic_keeps_to_its_bound(scalar: str, program: Program, seed: int) -> None:
     states = states_in(scalar, seed)
@@ -48,7 +48,7 @@ def test_arithmetic_keeps_to_its_bound(scalar: str, program: Program, seed: int)
 
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
-@examples(80)
+@examples(50)
 @given(programs(ops=SMOOTH, most=8), st.integers(0, 2**32 - 1))
 def test_functions_keep_to_their_bound(scalar: str, program: Program, seed: int) -> None:
     """numpy's functions claim less than the C library's: up to four units of a function's value are allowed each."""

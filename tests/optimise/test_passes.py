@@ -26,7 +26,7 @@ NAMES = [run.__name__ for run in EVERY]
 
 
 @pytest.mark.parametrize("run", EVERY, ids=NAMES)
-@examples(60)
+@examples(40)
 @given(programs(ops=TAME), st.integers(0, 2**32 - 1))
 def test_the_same_values_at_50_digits(run: Callable[[Program], Program], program: Program, seed: int) -> None:
     after = check_legal(run(program))
@@ -54,14 +54,14 @@ def test_the_same_values_wherever_there_is_one(run: Callable[[Program], Program]
 
 
 @pytest.mark.parametrize("run", [drop_dead, merge, schedule, optimise], ids=lambda run: run.__name__)
-@examples(60)
+@examples(40)
 @given(programs(ops=ANY))
 def test_idempotent(run: Callable[[Program], Program], program: Program) -> None:
     once = run(program)
     assert run(once) == once
 
 
-@examples(60)
+@examples(40)
 @given(programs(ops=ANY))
 def test_fold_ends(program: Program) -> None:
     """Folding does not chase its own tail: a few rounds of folding and merging, and nothing changes any more."""
@@ -72,7 +72,7 @@ def test_fold_ends(program: Program) -> None:
     pytest.fail("fold and merge still change the program after 12 rounds")
 
 
-@examples(60)
+@examples(40)
 @given(programs(ops=ANY))
 def test_optimise_never_adds_work(program: Program) -> None:
     unrolled = any(i.op in ("pow",) for i in program.instrs)
@@ -302,7 +302,7 @@ def test_x_over_x_stays() -> None:
 # ---- schedule ----
 
 
-@examples(150)
+@examples(80)
 @given(programs(ops=TAME, most=25, outputs=4))
 def test_schedule_keeps_the_instructions_and_no_more_alive(program: Program) -> None:
     after = check_legal(schedule(program))

@@ -32,7 +32,7 @@ def run_staged(staged: Staged, tick: Program, states: dict[str, Any]) -> dict[st
     return evaluate(tick, states | fields)
 
 
-@examples(120)
+@examples(60)
 @given(programs(ops=TAME, most=18), st.integers(0, 2**32 - 1))
 def test_stages_compute_the_same_bits(program: Program, seed: int) -> None:
     program = optimise(program)
@@ -54,7 +54,7 @@ def kinds_of(program: Program) -> list[set[str]]:
     return found
 
 
-@examples(120)
+@examples(60)
 @given(programs(ops=TAME, most=18))
 def test_nothing_of_parameters_alone_is_left_to_the_tick(program: Program) -> None:
     staged = stage(optimise(program))

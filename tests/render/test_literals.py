@@ -18,7 +18,8 @@ DIGITS = {"float64": 17, "float32": 9}
 def gap_below_and_above(number: float, scalar: str) -> tuple[Fraction, Fraction]:
     """Distances to the neighbours; beyond the largest number, the gap below it."""
     kind = np.dtype(scalar).type
-    below, above = (np.nextafter(kind(number), kind(to)) for to in (-np.inf, np.inf))
+    with np.errstate(all="ignore"):
+        below, above = (np.nextafter(kind(number), kind(to)) for to in (-np.inf, np.inf))
     low = Fraction(number) - Fraction(float(below)) if np.isfinite(below) else None
     high = Fraction(float(above)) - Fraction(number) if np.isfinite(above) else None
     return low or high or Fraction(0), high or low or Fraction(0)
@@ -41,7 +42,7 @@ POWERS = st.builds(lambda m, e: Fraction(m) * Fraction(10) ** e, st.integers(-(1
 
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
-@examples(300)
+@examples(150)
 @given(REALS | POWERS)
 @example(Fraction(0))
 @example(1 + Fraction(1, 2**24))  # a tie in float32
@@ -60,7 +61,7 @@ def test_nearest(scalar: str, value: Fraction) -> None:
 
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
-@examples(400)
+@examples(200)
 @given(st.data())
 def test_literals_read_back(scalar: str, data: st.DataObject) -> None:
     """Every number of the type: its literal reads back as it, and no decimal with fewer digits does."""

@@ -38,7 +38,14 @@ def include(packages: list[sg.Package]) -> list[str]:
     return [f"-I{p.path}" for p in packages]
 
 
-ROUGHEST = {"double_pendulum_energy", "spacecraft_smooth", "everything", "everything_tau", "one_cubic", "every_operation"}
+ROUGHEST = {
+    "double_pendulum_energy",
+    "spacecraft_smooth",
+    "everything",
+    "everything_tau",
+    "one_cubic",
+    "every_operation",
+}
 
 
 def compile_all(command: list[str], files: list[Path], folder: Path) -> None:

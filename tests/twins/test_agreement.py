@@ -9,7 +9,7 @@ from servogen.scene.domain import draw_states
 from servogen.scene.loading import builtin_names, load_scene
 from support.models import awkward_scenes, random_scene
 
-STATES = 60
+STATES = 30
 EPS = {"float64": 2.0**-52, "float32": 2.0**-23}
 
 
@@ -20,7 +20,7 @@ def rows(states: dict[str, Any]) -> list[dict[str, Any]]:
 
 def compare(scene: sg.Scene, scalar: str, loose: float) -> None:
     """Quantities within `loose` units of their size; tau within the same times the condition of the matrix."""
-    compiled = sg.build(scene, scalar=scalar).load(flags=["-O1"])  # type: ignore[arg-type]
+    compiled = sg.build(scene, scalar=scalar).load(flags=["-O0"])  # type: ignore[arg-type]
     reference = sg.reference(scene, scalar)  # type: ignore[arg-type]
     names = ("psi", "S", "z") if scene.kind == "servo" else ("phi", "A", "B")
     scale = {n: max(np.abs(getattr(reference, n)(**s)).max() for s in rows(draw_states(scene, 8, 1))) for n in names}
@@ -47,16 +47,17 @@ def test_built_in_scenes(name: str, scalar: str) -> None:
     compare(load_scene(name), scalar, loose=200)
 
 
-@pytest.mark.parametrize("scalar", ["float64", "float32"])
 @pytest.mark.parametrize(
-    ("kind", "mass"),
+    ("kind", "mass", "scalar"),
     [
-        ("nonholonomic", "spd"),
-        ("holonomic", "nonsymmetric"),
-        ("mixed", "indefinite"),
-        ("controls", "exchange"),
-        ("mixed", "diagonal"),
-        ("controls", "identity"),
+        ("nonholonomic", "spd", "float64"),
+        ("holonomic", "nonsymmetric", "float64"),
+        ("mixed", "indefinite", "float64"),
+        ("controls", "exchange", "float64"),
+        ("controls", "identity", "float64"),
+        ("mixed", "diagonal", "float32"),
+        ("nonholonomic", "indefinite", "float32"),
+        ("controls", "spd", "float32"),
     ],
 )
 def test_random_scenes(kind: str, mass: str, scalar: str) -> None:

@@ -161,7 +161,8 @@ def _singular(Q: FloatArray, epsilon: float) -> bool:
     if not np.all(np.isfinite(Q)) or np.any(rows == 0):
         return not np.any(~np.isfinite(Q))
     scaled = Q / rows
-    scaled = scaled / np.max(np.abs(scaled), axis=0, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a column of zeros
+        scaled = scaled / np.max(np.abs(scaled), axis=0, keepdims=True)
     if not np.all(np.isfinite(scaled)):
         return True
     sigma = np.linalg.svd(scaled, compute_uv=False)
