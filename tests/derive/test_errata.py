@@ -253,7 +253,7 @@ def test_eqs_49_50_52_bracket() -> None:
 
 
 def test_eqs_42_to_44_tau_is_torque_over_inertia() -> None:
-    """As torques in N m the kinetic energy would change by I_i w_i tau_i: no power. Over inertia, M = I tau does w M."""
+    """As torques in N m the power would be w tau, which K' is not. As torque over inertia, M = I tau does w M."""
     for _ in range(STATES):
         w, tau = spacecraft_state()
         h = 1e-6
@@ -265,7 +265,7 @@ def test_eqs_42_to_44_tau_is_torque_over_inertia() -> None:
 
 
 def test_section_6_start_value() -> None:
-    """tau_3(0) = -0.287/0.85 meets (47); the printed -0.3376 leaves phi = 4e-5, and tau_3 of the bracket's (48) more."""
+    """tau_3(0) = -0.287/0.85 meets (47); the printed -0.3376 leaves phi = 4e-5."""
     w = np.full(3, 0.1)
     exact, printed = (of_spacecraft(w, np.array([0.1, 0.1, x]))["phi"][0, 0] for x in (-0.287 / 0.85, -0.3376))
     assert abs(exact) < 1e-16
@@ -302,7 +302,7 @@ def test_section_6_every_y() -> None:
     for y in (lambda tau: -tau, lambda tau: 0.2 * np.ones(3) - 2 * tau):
         found, expected = closed_loop(on, y)
         assert found == pytest.approx(expected, rel=1e-8)
-    off, expected = closed_loop(on + [0.0, 0.0, 0.05], lambda tau: -tau)
+    off, expected = closed_loop(on + np.array([0.0, 0.0, 0.05]), lambda tau: -tau)
     assert abs(off / expected - 1) > 0.1  # phi stays what it was at the start
     at_rest, _ = closed_loop(np.array([0.1, 0.2, 0.3]), lambda tau: -tau, w=np.zeros(3), steps=400)
     assert at_rest > 1e-4  # A = 0, phi = 0, K = 0: it should have stayed there
@@ -312,7 +312,7 @@ def test_section_6_every_y() -> None:
 
 
 def test_after_eq_10_null_space_of_S_not_of_its_transpose() -> None:
-    """Case 3: S = [1, 1] has infinitely many solutions though S^T has no null space, and S = [1, 1]^T one though it has."""
+    """Case 3: [1, 1] has many solutions though its transpose has no null space, [1, 1]^T one though it has."""
     wide, tall = np.ones((1, 2)), np.ones((2, 1))
 
     def null_space(matrix: Any) -> int:
@@ -387,7 +387,7 @@ def path_scene() -> sg.Scene:
 
 
 def test_eq_35_second_row() -> None:
-    """Printed d psi_2 / du, which is zero; right d psi_2 / dq (C = I). With it the system generically has a solution."""
+    """Printed d psi_2 / du, which is zero; right d psi_2 / dq (C = I): generically a solution."""
     _, quantities = derived(path_scene())
     for _ in range(STATES):
         p = pendulum()

@@ -156,7 +156,7 @@ def test_singular_mass_at_a_state(Q: Any, bad: list[float], good: list[float]) -
 
 @pytest.mark.xfail(
     strict=True,
-    reason="later pivots are NaN after a first one of zero, and templates/evaluation.c.j2 asks for NaN before it asks for zero",
+    reason="pivots after one of zero are NaN, and templates/evaluation.c.j2 asks for NaN before it asks for zero",
 )
 @pytest.mark.parametrize("Q", [entries(q[0] ** 2, q[0], q[0], 2), entries(0, q[0], 1, 0)])
 def test_singular_mass_at_the_first_pivot(Q: Any) -> None:

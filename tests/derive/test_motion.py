@@ -112,7 +112,7 @@ def test_servo_system_is_the_motion(kind: str, mass: str) -> None:
         state = random_state(scene, rng)
         system = quantities(**state, tau=np.zeros(scene.controls))
         np.testing.assert_allclose(system["psi"].ravel(), np.concatenate(
-            [v[2] for v in motion.constraints_at(state, lambda s: np.zeros(scene.controls))]))  # fmt: skip
+            [v[2] for v in motion.constraints_at(state, lambda s, zero=np.zeros(3): zero)]))  # fmt: skip
         for _ in range(2):
             tau = rng.uniform(-2, 2, scene.controls)
             left = excess(motion, motion.constraints_at(state, lambda s, tau=tau: tau))
@@ -131,7 +131,9 @@ def test_controls_involved_system_is_the_motion(mass: str) -> None:
         system = quantities(**state)
         for _ in range(2):
             rate = rng.uniform(-2, 2, scene.controls)
-            left = excess(motion, motion.constraints_at(state, lambda s, rate=rate: state["tau"] + s * rate))
+            left = excess(
+                motion, motion.constraints_at(state, lambda s, start=state["tau"], rate=rate: start + s * rate)
+            )
             right = system["A"] @ rate - system["B"].ravel()
             np.testing.assert_allclose(left, right, rtol=2e-6, atol=2e-6 * (1 + np.abs(right).max()))
 
@@ -149,8 +151,8 @@ def test_other_shapes(m: int, l: int, n: int) -> None:
         assert system[matrix].shape == (m, l)
         assert system[right].shape == (m, 1)
         start = state.get("tau", x)
-        tau_of = (lambda s: start + s * x) if kind == "controls" else (lambda s: x)
-        left = excess(motion, motion.constraints_at(state, tau_of))
+        rate = x if kind == "controls" else 0.0 * x
+        left = excess(motion, motion.constraints_at(state, lambda s, start=start, rate=rate: start + s * rate))
         np.testing.assert_allclose(left, system[matrix] @ x - system[right].ravel(), rtol=2e-6, atol=1e-5)
 
 

@@ -65,7 +65,7 @@ def test_functions_keep_to_their_bound(scalar: str, program: Program, seed: int)
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
 def test_the_bound_is_not_absurdly_loose(scalar: str) -> None:
-    """The largest error of many states comes near the bound: within a factor of 3 for one product, 20 for a sum of 8."""
+    """The largest error of many states comes near the bound: within 3 for one product, 20 for a sum of 8."""
     rng = np.random.default_rng(0)
     states = {"x": rng.uniform(1, 2, (400, 16)).astype(scalar).astype(float)}
     leaves = tuple(Instr("input", (), ("x", k)) for k in range(16))

@@ -89,7 +89,8 @@ def test_every_scene_plans(name: str) -> None:
     for program in (module.prepare.program, *(k.program for k in module.kernels)):
         check_legal(program)
         assert all(
-            kinds != {"model"} or isinstance(i.const, tuple) for i, kinds in zip(program.instrs, kinds_of(program))
+            kinds != {"model"} or isinstance(i.const, tuple)
+            for i, kinds in zip(program.instrs, kinds_of(program), strict=True)
         )
     fields = {f.name for f in module.model}
     assert {o.name for o in module.prepare.program.outputs} - {MASS_PIVOT, MASS_SCALE} == fields
@@ -171,7 +172,8 @@ def test_hash_knows_what_decides_the_package() -> None:
     assert digest() == base
     others = [
         digest(a=2.0), digest(a=sg.Parameter(1.0, "m")), digest(a=sg.Parameter(1.0, text="mass")), digest(name="t"),
-        digest(Theta=-2.0), digest(y="input"), digest(solver=sg.Solver(method="svd")), digest(solver=sg.Solver(atol=1e-9)),
+        digest(Theta=-2.0), digest(y="input"), digest(solver=sg.Solver(method="svd")),
+        digest(solver=sg.Solver(atol=1e-9)),
     ]  # fmt: skip
     assert len({base, *others}) == len(others) + 1
 

@@ -89,7 +89,7 @@ def test_row_vectors_are_turned() -> None:
     [
         (lambda: sg.Nonholonomic("task", ca.SX(2, 2), -1.0), ("constraint 'task': psi has shape 2x2", "column")),
         (lambda: sg.Nonholonomic("task", ca.SX(0, 1), -1.0), ("constraint 'task': psi is empty",)),
-        (lambda: sg.Nonholonomic("task", u, [-1.0] * 3), ("constraint 'task': Theta has shape 3x1", "vector of 2", "2x2")),
+        (lambda: sg.Nonholonomic("task", u, [-1.0] * 3), ("'task': Theta has shape 3x1", "vector of 2", "2x2")),
         (lambda: sg.Nonholonomic("task", u, -np.eye(3)), ("constraint 'task': Theta has shape 3x3",)),
         (lambda: sg.Holonomic("path", q, [-1.0] * 3, -1.0), ("constraint 'path': Theta1 has shape 3x1",)),
         (lambda: sg.Holonomic("path", q, -1.0, -np.eye(3)), ("constraint 'path': Theta2 has shape 3x3",)),
@@ -326,7 +326,7 @@ def test_theta_of_parameters_is_judged_at_their_defaults() -> None:
         (lambda: speed(Theta=float("nan")), ("constraint 'speed': Theta has an entry nan",)),
         (lambda: speed(Theta=None), ("constraint 'speed': Theta is None",)),
         (lambda: speed(ca.vertcat(u[0], ca.inf)), ("constraint 'speed': psi has an entry inf",)),
-        (lambda: scene([speed(u[0] + ca.SX(ca.inf) * q[0])]), ("constraint 'speed': psi holds the constant inf", "finite")),
+        (lambda: scene([speed(u[0] + ca.SX(ca.inf) * q[0])]), ("'speed': psi holds the constant inf", "finite")),
         (lambda: scene(mech=mechanism(P=ca.vertcat(q[0] + float("nan"), 0))), ("P", "nan", "finite")),
         (lambda: scene(y=[0.0, np.nan]), ("y has an entry nan",)),
         (lambda: sg.Parameters(a=float("inf")), ("parameter 'a'", "inf", "not finite")),
@@ -362,7 +362,7 @@ def test_constants_that_do_not_fit_the_type() -> None:
         (lambda: sg.References(r=sg.Ref(0.0, order=3)), ("reference 'r'", "order=3", "0, 1 or 2")),
         (lambda: sg.References(r=sg.Ref(0.0, order=1), r_dot=0.0), ("r_dot", "collides", "rename")),
         (lambda: sg.References(r_dot=0.0, r=sg.Ref(0.0, order=1)), ("r_dot", "collides", "rename")),
-        (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the reference")),
+        (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the ref")),
         (lambda: sg.Solver(method="qr"), ("method='qr'", "'auto' or 'svd'")),  # type: ignore[arg-type]
         (lambda: sg.Solver(rank="full"), ("rank='full'",)),  # type: ignore[arg-type]
         (lambda: sg.Solver(rtol=1.0), ("rtol=1.0",)),

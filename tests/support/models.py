@@ -181,8 +181,8 @@ def awkward_scenes() -> dict[str, sg.Scene]:
     scenes.append(scene("everything", full.mechanism, *full.constraints, parameters=full.parameters,
                         references=full.references, y="input"))  # fmt: skip
     lu = random_scene(3, "controls", mass="exchange")
-    scenes.append(scene("everything_tau", lu.mechanism, *lu.constraints, parameters=lu.parameters, references=lu.references,
-                        y=-lu.mechanism.tau))  # fmt: skip
+    scenes.append(scene("everything_tau", lu.mechanism, *lu.constraints, parameters=lu.parameters,
+                        references=lu.references, y=-lu.mechanism.tau))  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scenes.append(scene("tall", tall, sg.Nonholonomic("both", tall.u, -1.0)))

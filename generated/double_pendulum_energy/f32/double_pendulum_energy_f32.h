@@ -56,13 +56,13 @@ extern const double_pendulum_energy_f32_params double_pendulum_energy_f32_params
 /* What depends on parameters alone; double_pendulum_energy_f32_prepare fills it. */
 typedef struct {
     float R; /* [m] radius of the disc, from its axis to the bar's hinge */
-    float c0;
-    float c1;
-    float c2;
-    float c3;
-    float c4;
-    float c5;
-    float c6;
+    float c0; /* m_B * R^2 + I_D */
+    float c1; /* L * 0.5 */
+    float c2; /* R * m_B * L * 0.5 */
+    float c3; /* m_B * (L * 0.5)^2 + I_B */
+    float c4; /* m_B * g */
+    float c5; /* L * 0.5 * m_B * g */
+    float c6; /* R * m_B * g */
 } double_pendulum_energy_f32_model;
 
 /* What changes at every tick: only what the scene uses. */

@@ -56,13 +56,13 @@ extern const double_pendulum_energy_params double_pendulum_energy_params_default
 /* What depends on parameters alone; double_pendulum_energy_prepare fills it. */
 typedef struct {
     double R; /* [m] radius of the disc, from its axis to the bar's hinge */
-    double c0;
-    double c1;
-    double c2;
-    double c3;
-    double c4;
-    double c5;
-    double c6;
+    double c0; /* m_B * R^2 + I_D */
+    double c1; /* L * 0.5 */
+    double c2; /* R * m_B * L * 0.5 */
+    double c3; /* m_B * (L * 0.5)^2 + I_B */
+    double c4; /* m_B * g */
+    double c5; /* L * 0.5 * m_B * g */
+    double c6; /* R * m_B * g */
 } double_pendulum_energy_model;
 
 /* What changes at every tick: only what the scene uses. */

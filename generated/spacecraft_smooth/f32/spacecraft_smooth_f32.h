@@ -57,9 +57,9 @@ typedef struct {
     float I_2; /* [kg m^2] moment of inertia about the second principal axis */
     float I_3; /* [kg m^2] moment of inertia about the third principal axis */
     float a; /* [1/s] rate at which the kinetic energy decays */
-    float c0;
-    float c1;
-    float c2;
+    float c0; /* (I_2 - I_3) / I_1 */
+    float c1; /* (I_3 - I_1) / I_2 */
+    float c2; /* (I_1 - I_2) / I_3 */
 } spacecraft_smooth_f32_model;
 
 /* What changes at every tick: only what the scene uses. */

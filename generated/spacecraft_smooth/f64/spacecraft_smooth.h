@@ -57,9 +57,9 @@ typedef struct {
     double I_2; /* [kg m^2] moment of inertia about the second principal axis */
     double I_3; /* [kg m^2] moment of inertia about the third principal axis */
     double a; /* [1/s] rate at which the kinetic energy decays */
-    double c0;
-    double c1;
-    double c2;
+    double c0; /* (I_2 - I_3) / I_1 */
+    double c1; /* (I_3 - I_1) / I_2 */
+    double c2; /* (I_1 - I_2) / I_3 */
 } spacecraft_smooth_model;
 
 /* What changes at every tick: only what the scene uses. */
