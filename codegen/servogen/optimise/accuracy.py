@@ -51,7 +51,7 @@ class Accuracy:
 def draw_inputs(program: Program, count: int = STATES) -> dict[str, FloatArray]:
     """Values for every input, between 1/2 and 2 for parameters and between -2 and 2 for the rest."""
     generator = np.random.default_rng(0)
-    values = {}
+    values: dict[str, FloatArray] = {}
     for i in program.inputs:
         low = 0.5 if i.kind == "parameter" else -2.0
         values[i.name] = low + (2.0 - low) * generator.random((count, i.size))
@@ -59,7 +59,7 @@ def draw_inputs(program: Program, count: int = STATES) -> dict[str, FloatArray]:
 
 
 def summaries(program: Program, states: Mapping[str, Any]) -> FloatArray:
-    """Largest and median rounding bound of every output entry over the states: (entries, 2); NaN where none is finite."""
+    """Largest and median rounding bound of every output entry over the states, (entries, 2); NaN where none is finite."""
     bounds = entry_bounds(program, states)
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(bounds), bounds, np.nan)

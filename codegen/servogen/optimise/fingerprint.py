@@ -100,7 +100,7 @@ class Fingerprints:
         if value in self._linear:
             return
         if op in ("add", "sub"):
-            self._linear[value] = _combine(*(self.linear(o) for o in operands), -1 if op == "sub" else 1)
+            self._linear[value] = _combine(self.linear(operands[0]), self.linear(operands[1]), -1 if op == "sub" else 1)
         elif op == "neg":
             self._linear[value] = {atom: -c for atom, c in self.linear(operands[0]).items()}
         elif op in ("mul", "div"):

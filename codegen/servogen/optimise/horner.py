@@ -174,8 +174,8 @@ class _Builder:
         ]
         node, flip = self._sum_of_products(terms)
         value, flipped = unsigned(self.out.values[node])
-        if (number := as_rational(self.out.values[node])) is not None:
-            exact = Fraction(*number)
+        if (found := as_rational(self.out.values[node])) is not None:
+            exact = Fraction(*found)
             return (self.out.constant(abs(exact)), (exact < 0) != flip) if exact else None
         known = self.early_by_value.setdefault(value, node)
         return known, flip != (flipped != unsigned(self.out.values[known])[1])

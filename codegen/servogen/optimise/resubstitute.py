@@ -1,7 +1,7 @@
 """Resubstitution: a value is computed anew from one or two that are live anyway, so that its private cone dies.
 
-As logic synthesis does, with +, - and *; it invents no division, which would cost more and may not exist everywhere. Candidates are found with short residues by whole arrays and
-confirmed with the full fingerprints.
+As logic synthesis does, with +, - and *; it invents no division, which would cost more and may not exist everywhere.
+Candidates are found with short residues by whole arrays and confirmed with the full fingerprints.
 """
 
 from collections.abc import Iterator
@@ -263,4 +263,3 @@ def _slot(residues: Words) -> Words:
     """Where a residue or its negative is noted in the table."""
     folded = np.minimum(residues, _SHORT - residues)
     return (folded * 1_000_003 >> 4) % _TABLE
-

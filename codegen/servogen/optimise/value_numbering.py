@@ -52,7 +52,9 @@ class _Numbering:
             by_value[key].add(self.masks[k])
         # a class may also use the members of those with fewer hazards
         self.lesser = {
-            (key, mask): [(key, m) for m in masks if m & ~mask == 0] for key, masks in by_value.items() for mask in masks
+            (key, mask): [(key, m) for m in masks if m & ~mask == 0]
+            for key, masks in by_value.items()
+            for mask in masks
         }
         self.choice = self._first() if earliest else self._cheapest()
 

@@ -14,11 +14,10 @@ import mpmath as mp
 import numpy as np
 
 from servogen.derive.derive import derive
-from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, lower
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
-from servogen.ir.program import Program
 from servogen.ir.rounding import rounding_bounds
-from servogen.optimise.passes import optimise
+from servogen.optimise.for_scene import optimise_formulation
 from servogen.plan.module import Module
 from servogen.results import FloatArray, Status
 from servogen.scene.domain import boundary_states, draw_states
@@ -81,22 +80,23 @@ class Truth:
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
         self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
         self.count = len(next(iter(self.inputs.values())))
-        self.program = optimise(lower(derive(scene)))
+        optimised = optimise_formulation(derive(scene))
+        self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.finite = np.array([self._inputs_finite(k) for k in range(self.count)])
-        self.points = self._points(self.program, self.inputs)
+        self.points = self._points(self.inputs)
         self.answers = [self._answer(k) for k in range(self.count)]
 
     def _inputs_finite(self, k: int) -> bool:
         return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.inputs)
 
-    def _points(self, program: Program, inputs: dict[str, Any]) -> list[Point]:
+    def _points(self, inputs: dict[str, Any]) -> list[Point]:
         everything = inputs | self.parameters
         floats = {n: np.array(v, dtype=float) for n, v in everything.items()}
-        bounds = rounding_bounds(program, floats, self.scalar)
-        rounded = evaluate(program, everything, self.dtype)
+        bounds = rounding_bounds(self.program, floats, self.scalar)
+        rounded = evaluate(self.program, everything, self.dtype)
         points = []
-        for k, values in enumerate(evaluate_exactly(program, everything)):
+        for k, values in enumerate(evaluate_exactly(self.exact, everything)):
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
             limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
             points.append(Point(values, limits, at, self._status(k, at)))
@@ -256,7 +256,7 @@ class Truth:
         projected = [self._projected(k, self.points[k], self.inputs["tau"][k], 0.0) for k in range(self.count)]
         dt = float(self.dtype(STEP_DT))
         moved = np.array([_moved(self.inputs["tau"][k], a, dt) for k, a in enumerate(self.answers)], dtype=object)
-        points = self._points(self.program, self.inputs | {"tau": moved})
+        points = self._points(self.inputs | {"tau": moved})
         stepped = []
         for k, (answer, point) in enumerate(zip(self.answers, points, strict=True)):
             if answer.status < 0:
