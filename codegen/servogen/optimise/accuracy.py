@@ -59,7 +59,7 @@ def draw_inputs(program: Program, count: int = STATES) -> dict[str, FloatArray]:
 
 
 def summaries(program: Program, states: Mapping[str, Any]) -> FloatArray:
-    """Largest and median rounding bound of every output entry over the states, (entries, 2); NaN where none is finite."""
+    """Largest and median rounding bound of every output entry over the states, (entries, 2); NaN: none is finite."""
     bounds = entry_bounds(program, states)
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(bounds), bounds, np.nan)

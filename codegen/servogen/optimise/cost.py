@@ -16,7 +16,9 @@ OPERATION = 1000
 _WEIGHT = {"add": 1.0, "sub": 1.0, "mul": 1.0, "neg": 0.01, "div": 3.0, "sqrt": 4.0, "sin": 8.0, "cos": 8.0}
 _OTHER = 8.0
 _CHEAP = {"fabs", "fmin", "fmax", "floor", "ceil", "sign", "copysign", "lt", "le", "eq", "ne", "not", "and", "or"}
-_EARLY = 0.002  # of parameters alone
+EARLY = 0.002
+"""The share of an operation on parameters alone."""
+
 _ASIDE = 0.25  # needed by minor outputs alone
 
 
@@ -40,7 +42,7 @@ class Objective:
         main = live(program, _roots(program, (o.name for o in program.outputs if o.name not in self.minor)))
         costs = []
         for k, instr in enumerate(program.instrs):
-            share = 0.0 if k not in everything else _EARLY if early[k] else 1.0 if k in main else _ASIDE
+            share = 0.0 if k not in everything else EARLY if early[k] else 1.0 if k in main else _ASIDE
             costs.append(round(weight(instr.op) * share))
         return costs
 

@@ -12,14 +12,17 @@ from fractions import Fraction
 from servogen.ir.binding import depends_on_parameters_alone
 from servogen.ir.field import Residue, as_rational, unsigned
 from servogen.ir.program import Program, live
-from servogen.optimise.cost import Objective
+from servogen.optimise.cones import Cones
+from servogen.optimise.cost import OPERATION, Objective, weight
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.hazards import Hazards
 from servogen.optimise.polynomial import Monomial, Polynomial, expansions
 from servogen.optimise.rewriter import Rewriter, Signed
 
-MOST_TERMS = 60
+MOST_TERMS = 40
 """Terms at tick of the largest polynomial that is rebuilt."""
+
+_SMALL = 300  # instructions at tick of the largest program that is expanded down to its inputs
 
 _RING = ("add", "sub", "mul", "div", "neg")
 
@@ -44,36 +47,80 @@ def horner(program: Program, objective: Objective) -> Program:
 
 
 def _one_better(program: Program, objective: Objective, tried: set[Residue]) -> Program | None:
-    fingerprints = Fingerprints(program)
-    cost = objective.cost(program)
-    targets = _targets(program)
-    shared = _shared(program)
-    early = depends_on_parameters_alone(program)
-    masks = Hazards(program, fingerprints).masks
-    forms = [expansions(program), expansions(program, shared)] if shared else [expansions(program)]
-    for target in targets:
-        if fingerprints.values[target] in tried:
-            continue
-        tried.add(fingerprints.values[target])
-        best: Program | None = None
+    """The program with the first target rebuilt that gains; every target is tried once."""
+    search = _Search(program, objective)
+    for target in search.targets:
+        value = unsigned(search.out.values[target])[0]
+        if value not in tried:
+            tried.add(value)
+            if (found := search.rebuilt(target)) is not None:
+                return found
+    return None
+
+
+class _Search:
+    def __init__(self, program: Program, objective: Objective) -> None:
+        self.program = program
+        fingerprints = Fingerprints(program)
+        self.cones = Cones(program, objective)
+        self.early = depends_on_parameters_alone(program)
+        self.masks = Hazards(program, fingerprints).masks
+        self.out = Rewriter(program, fingerprints)
+        self.targets = [k for k in _targets(program, self.early) if self.cones.private(k) > 2 * OPERATION // 4]
+        shared = _shared(program)
+        self.forms = [expansions(program, shared)]
+        if shared and len(program.instrs) - sum(self.early) <= _SMALL:
+            self.forms.insert(0, expansions(program))
+
+    def rebuilt(self, target: int) -> Program | None:
+        """The program with the cheapest form of the target, or None where it gains nothing."""
+        cones, out = self.cones, self.out
+        share = cones.costs[target] / weight(self.program.instrs[target].op)
+        reusable = self._reusable(target)
+        freed = cones.release(target) + cones.costs[target]
+        count = len(out.instrs)
+        best: tuple[int, Polynomial, _Style] | None = None
         seen: list[Polynomial] = []
-        for form in forms:
+        for form in self.forms:
             polynomial = form[target]
             if polynomial in seen:
                 continue
             seen.append(polynomial)
             for style in _STYLES:
-                found = _Builder(program, fingerprints, early, masks, target, style).rebuild(polynomial)
-                if found is not None and (new := objective.cost(found)) < cost:
-                    best, cost = found, new
-        if best is not None:
-            return best
-    return None
+                root = _Builder(out, self.early, reusable, style).build(polynomial)
+                if root is not None and root != target:
+                    cones.extend(out, share)
+                    price = cones.use(root)
+                    cones.drop(root)
+                    if price < freed - OPERATION // 10 and (best is None or price < best[0]):
+                        best = price, polynomial, style
+                cones.truncate(count)
+                out.rollback(count)
+        cones.hold(target)
+        if best is None:
+            return None
+        root = _Builder(out, self.early, reusable, best[2]).build(best[1])
+        assert root is not None
+        out.replace(target, root)
+        return out.finish()
+
+    def _reusable(self, target: int) -> dict[Residue, int]:
+        """Nodes that are live without the target and do not depend on it, by value up to sign."""
+        instrs = self.program.instrs
+        after = {target}
+        for k in range(target + 1, len(instrs)):
+            if any(a in after for a in instrs[k].args):
+                after.add(k)
+        found: dict[Residue, int] = {}
+        for k in sorted(_live_without(self.program, target) - after):
+            if instrs[k].op in ("const", "neg") or self.early[k] or self.masks[k] & ~self.masks[target]:
+                continue
+            found.setdefault(unsigned(self.out.values[k])[0], k)
+        return found
 
 
-def _targets(program: Program) -> list[int]:
+def _targets(program: Program, early: list[bool]) -> list[int]:
     """Sums and products that an output or another kind of operation reads, the last first."""
-    early = depends_on_parameters_alone(program)
     read = {n for o in program.outputs for n in o.nodes}
     for instr in program.instrs:
         if instr.op not in _RING:
@@ -103,44 +150,17 @@ class _Term:
 
 
 class _Builder:
-    def __init__(
-        self,
-        program: Program,
-        fingerprints: Fingerprints,
-        early: list[bool],
-        masks: list[int],
-        target: int,
-        style: _Style,
-    ) -> None:
-        self.program, self.target, self.style = program, target, style
-        self.out = Rewriter(program, fingerprints)
-        self.early = early
-        self.early_by_value = {
-            unsigned(fingerprints.values[k])[0]: k for k in range(len(program.instrs) - 1, -1, -1) if early[k]
-        }
-        self.reusable = self._reusable(masks) if style.reuse else {}
+    """Appends one form of a polynomial to a program."""
 
-    def _reusable(self, masks: list[int]) -> dict[Residue, int]:
-        """Nodes that are live without the target and do not depend on it, by value up to sign."""
-        instrs = self.program.instrs
-        after = {self.target}
-        for k in range(self.target + 1, len(instrs)):
-            if any(a in after for a in instrs[k].args):
-                after.add(k)
-        without = _live_without(self.program, self.target)
-        found: dict[Residue, int] = {}
-        for k in sorted(without - after):
-            if instrs[k].op in ("const", "neg") or self.early[k] or masks[k] & ~masks[self.target]:
-                continue
-            found.setdefault(unsigned(self.out.values[k])[0], k)
-        return found
+    def __init__(self, out: Rewriter, early: list[bool], reusable: dict[Residue, int], style: _Style) -> None:
+        self.out, self.early, self.style = out, early, style
+        self.reusable = reusable if style.reuse else {}
+        self.coefficients: dict[Residue, int] = {}
 
-    def rebuild(self, polynomial: Polynomial) -> Program | None:
+    def build(self, polynomial: Polynomial) -> int | None:
+        """The node of the polynomial; None where it has too many terms."""
         terms = self._terms(polynomial)
-        if terms is None:
-            return None
-        self.out.replace(self.target, self.out.signed(self._emit(terms)))
-        return self.out.finish()
+        return None if terms is None else self.out.signed(self._emit(terms))
 
     # ---- terms ----
 
@@ -177,7 +197,7 @@ class _Builder:
         if (found := as_rational(self.out.values[node])) is not None:
             exact = Fraction(*found)
             return (self.out.constant(abs(exact)), (exact < 0) != flip) if exact else None
-        known = self.early_by_value.setdefault(value, node)
+        known = self.coefficients.setdefault(value, node)
         return known, flip != (flipped != unsigned(self.out.values[known])[1])
 
     # ---- emission ----

@@ -13,7 +13,7 @@ Monomial = tuple[tuple[int, int], ...]
 
 Polynomial = dict[Monomial, Fraction]
 
-LARGEST = 160
+LARGEST = 64
 """Terms of the largest polynomial that is formed; what would have more is an atom."""
 
 _LARGEST_DEGREE = 12
@@ -23,10 +23,9 @@ def expansions(program: Program, atoms: Collection[int] = (), largest: int = LAR
     """Every instruction as a polynomial; those in `atoms`, and those too large, are atoms themselves."""
     kept = set(atoms)
     result: list[Polynomial] = []
-    for k, instr in enumerate(program.instrs):
+    for k in range(len(program.instrs)):
         found = None if k in kept else _expand(program, k, result, largest)
         result.append(_atom(k) if found is None or len(found) > largest else found)
-        del instr
     return result
 
 
@@ -71,7 +70,7 @@ def _sum(a: Polynomial, b: Polynomial, sign: int) -> Polynomial:
 
 
 def _product(a: Polynomial, b: Polynomial, largest: int) -> Polynomial | None:
-    if len(a) * len(b) > 4 * largest:
+    if len(a) * len(b) > 2 * largest:
         return None
     total: Polynomial = {}
     for m, c in a.items():

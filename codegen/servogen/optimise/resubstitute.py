@@ -10,9 +10,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.ir.binding import depends_on_parameters_alone
 from servogen.ir.field import Residue, rational, unsigned
-from servogen.ir.program import Instr, Program
+from servogen.ir.program import Program
+from servogen.optimise.cones import Cones
 from servogen.optimise.cost import Objective, weight
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.hazards import Hazards
@@ -40,61 +40,12 @@ class _Search:
         self.fingerprints = Fingerprints(program)
         self.values = self.fingerprints.values
         self.masks = Hazards(program, self.fingerprints).masks
-        self.early = depends_on_parameters_alone(program)
-        self.costs = objective.node_costs(program)
-        self.main = [c == weight(i.op) for c, i in zip(self.costs, program.instrs, strict=True)]
-        self.args = [tuple(i.args) for i in program.instrs]
-        self.ops = [i.op for i in program.instrs]
-        self.outputs = {n for o in program.outputs for n in o.nodes}
-        self.refs = [0] * len(program.instrs)
-        for args in self.args:
-            for a in args:
-                self.refs[a] += 1
-        for o in program.outputs:
-            for n in o.nodes:
-                self.refs[n] += 1
+        self.cones = Cones(program, objective)
+        self.main = [c == weight(i.op) for c, i in zip(self.cones.costs, program.instrs, strict=True)]
         self.node_of: dict[Residue, int] = {}
         for k, value in enumerate(self.values):
             self.node_of.setdefault(unsigned(value)[0], k)
         self._short_residues()
-
-    # ---- cones ----
-
-    def _release(self, k: int) -> int:
-        """Take away the operands of a node; the cost of what dies."""
-        dead, stack = 0, [k]
-        while stack:
-            node = stack.pop()
-            for a in self.args[node]:
-                self.refs[a] -= 1
-                if self.refs[a] == 0:
-                    dead += self.costs[a]
-                    stack.append(a)
-        return dead
-
-    def _hold(self, k: int) -> int:
-        """The reverse of _release: the cost of what comes to life."""
-        born, stack = 0, [k]
-        while stack:
-            node = stack.pop()
-            for a in self.args[node]:
-                self.refs[a] += 1
-                if self.refs[a] == 1:
-                    born += self.costs[a]
-                    stack.append(a)
-        return born
-
-    def _depends(self, k: int, on: int) -> bool:
-        stack, seen = [k], {k}
-        while stack:
-            node = stack.pop()
-            if node == on:
-                return True
-            for a in self.args[node]:
-                if a not in seen:
-                    seen.add(a)
-                    stack.append(a)
-        return False
 
     # ---- candidates ----
 
@@ -142,7 +93,7 @@ class _Search:
                 yield from self._confirmed(form, v, int(x))
 
     def _confirmed(self, form: str, v: int, x: int) -> Iterator[Recipe]:
-        if x == v or self.ops[x] == "neg":
+        if x == v or self.program.instrs[x].op == "neg":
             return
         value = self.values[x]
         if not any(value):
@@ -170,93 +121,65 @@ class _Search:
     # ---- the search ----
 
     def run(self) -> Program:
+        cones, instrs = self.cones, self.program.instrs
         late = [
-            k for k in range(len(self.ops))
-            if self.ops[k] not in ("input", "const", "neg") and not self.early[k] and self.costs[k]
-        ]  # fmt: skip
-        sized = sorted(((self._cone(k), k) for k in late), reverse=True)
-        budget = _MOST_WORK // max(1, len(self.ops))
+            k
+            for k, i in enumerate(instrs)
+            if i.op not in ("input", "const", "neg") and not cones.early[k] and cones.costs[k]
+        ]
+        sized = sorted(((cones.private(k), k) for k in late), reverse=True)
+        budget = _MOST_WORK // max(1, len(instrs))
         out = Rewriter(self.program, self.fingerprints)
         changed = False
         for _, v in sized[:budget]:
-            if self.refs[v] and self._cone(v) > min(self.costs[v], weight("mul")) and self._improve(v, out):
+            worthwhile = cones.private(v) > min(cones.costs[v], weight("mul"))
+            if cones.refs[v] and worthwhile and self._improve(v, out):
                 changed = True
         return (out.finish() or self.program) if changed else self.program
 
-    def _cone(self, v: int) -> int:
-        dead = self._release(v)
-        self._hold(v)
-        return dead + self.costs[v]
-
     def _improve(self, v: int, out: Rewriter) -> bool:
-        share = self.costs[v] / weight(self.ops[v])
-        freed = self._release(v) + self.costs[v]
+        cones = self.cones
+        share = cones.costs[v] / weight(self.program.instrs[v].op)
+        freed = cones.release(v) + cones.costs[v]
         best: tuple[float, Recipe] | None = None
         for recipe in self._recipes(v):
             op, x, y, _ = recipe
-            needed = self._needed(v, x, y)
-            if needed is None:
+            operands = [k for k in (x, y) if k >= 0]
+            if not self._may_serve(v, operands):
                 continue
-            price = needed + weight(op) * share
+            born = sum(cones.use(k) for k in operands)
+            for k in reversed(operands):
+                cones.drop(k)
+            price = born + weight(op) * share
             if price < freed - 1 and (best is None or price < best[0]):
-                if self._depends(y, v) or (x >= 0 and self._depends(x, v)):
+                if any(cones.depends(k, v) for k in operands):
                     continue
                 best = price, recipe
-        if best is None:
-            self._hold(v)
-            return False
-        op, x, y, flipped = best[1]
-        if x < 0:
-            x = self._ratio(out, -x - 1)
-        node = out.add(op, x, y)
-        if flipped:
-            node = out.add("neg", node)
-        self._extend(out)
+        node = v if best is None else self._built(best[1], out, share)
         if node == v:
-            self._hold(v)
+            cones.hold(v)
             return False
         out.replace(v, node)
-        self.ops[v], self.args[v] = "neg", (node,)  # v stands for the new node from now on
-        self._hold(v)
+        cones.args[v], cones.costs[v] = (node,), 0  # v stands for the new node from now on
+        cones.hold(v)
         return True
 
-    def _needed(self, v: int, x: int, y: int) -> int | None:
-        """The cost of what two operands bring to life again; None where they may not serve."""
-        operands = [k for k in (x, y) if k >= 0]
+    def _may_serve(self, v: int, operands: list[int]) -> bool:
+        """Whether v gains no hazard from them, and does not draw into the main outputs what served others alone."""
         mask = 0
         for k in operands:
-            if self.main[v] and not self.main[k] and self.costs[k] and not self.early[k]:
-                return None
+            if self.main[v] and not self.main[k] and self.cones.costs[k] and not self.cones.early[k]:
+                return False
             mask |= self.masks[k]
-        if mask & ~self.masks[v]:
-            return None
-        born = 0
-        for k in operands:
-            self.refs[k] += 1
-            if self.refs[k] == 1:
-                born += self.costs[k] + self._hold(k)
-        for k in reversed(operands):
-            self.refs[k] -= 1
-            if self.refs[k] == 0:
-                self._release(k)
-        return born
+        return not mask & ~self.masks[v]
 
-    def _ratio(self, out: Rewriter, n: int) -> int:
-        node = out.constant(_RATIOS[n])
-        self._extend(out)
+    def _built(self, recipe: Recipe, out: Rewriter, share: float) -> int:
+        op, x, y, flipped = recipe
+        node = out.add(op, out.constant(_RATIOS[-x - 1]) if x < 0 else x, y)
+        if flipped:
+            node = out.add("neg", node)
+        self.cones.extend(out, share)
         return node
-
-    def _extend(self, out: Rewriter) -> None:
-        """Take notice of appended nodes."""
-        for k in range(len(self.args), len(out.instrs)):
-            instr: Instr = out.instrs[k]
-            self.args.append(instr.args)
-            self.ops.append(instr.op)
-            self.refs.append(0)
-            self.costs.append(weight(instr.op))
-            self.early.append(False)
-            self.main.append(True)
-            self.masks.append(0)
 
 
 def _slot(residues: Words) -> Words:

@@ -56,6 +56,12 @@ class Rewriter:
     def replace(self, node: int, by: int) -> None:
         self._replaced[node] = by
 
+    def rollback(self, count: int) -> None:
+        """Forget the nodes appended since there were `count`."""
+        for instr in self.instrs[count:]:
+            del self._known[instr]
+        del self.instrs[count:], self.values[count:]
+
     def _number(self, k: int) -> Fraction | None:
         const = self.instrs[k].const
         return const if isinstance(const, Fraction) else None

@@ -22,6 +22,7 @@ from servogen.plan.module import Module
 from servogen.results import FloatArray, Status
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
+from servogen.scene.solver import EPSILON
 from servogen.twins import textbook_solver
 from servogen.verify import exact
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, EntryVectors, OutputVectors, VectorSet
@@ -96,7 +97,10 @@ class Truth:
         bounds = rounding_bounds(self.program, floats, self.scalar)
         rounded = evaluate(self.program, everything, self.dtype)
         points = []
-        for k, values in enumerate(evaluate_exactly(self.exact, everything)):
+        own = rounding_bounds(self.exact, floats, "float64")
+        pairs = zip(evaluate_exactly(self.program, everything), evaluate_exactly(self.exact, everything), strict=True)
+        for k, (values, unoptimised) in enumerate(pairs):
+            _same(values, unoptimised, {n: _row(v, k) for n, v in own.items()})
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
             limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
             points.append(Point(values, limits, at, self._status(k, at)))
@@ -295,6 +299,19 @@ def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:
         if answer.status < 0 or not np.isfinite(answer.tolerance):
             return start
         return [a + dt * b for a, b in zip(start, answer.tau, strict=True)]
+
+
+def _same(values: dict[str, Exact], unoptimised: dict[str, Exact], bounds: dict[str, FloatArray]) -> None:
+    """AssertionError where optimisation changed an output by more than 50 digits of the unoptimised program err.
+
+    bounds: its error bounds in float64, from which those with 50 digits follow.
+    """
+    finer = mp.mpf(10) ** (2 - DIGITS) / mp.mpf(EPSILON["float64"])
+    for name, entries in values.items():
+        for x, y, bound in zip(entries, unoptimised[name], bounds[name], strict=True):
+            if mp.isfinite(x) and mp.isfinite(y) and np.isfinite(bound):
+                slack = finer * mp.mpf(float(bound)) + mp.mpf(10) ** (2 - DIGITS) * abs(x)
+                assert abs(x - y) <= slack, f"optimisation changed {name}: {mp.nstr(y, 20)} became {mp.nstr(x, 20)}"
 
 
 def _norm(values: Any) -> float:
