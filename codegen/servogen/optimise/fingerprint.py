@@ -38,6 +38,7 @@ class Fingerprints:
         self.degree = 1
         self._degrees: dict[Residue, int] = {}
         self._linear: dict[Residue, Linear] = {}
+        self._made: dict[Residue, tuple[str, tuple[Residue, ...]]] = {}  # sums and products: how they first came about
         self._circles: dict[Residue, Circle] = {}
         self._memo: dict[tuple[str, tuple[Residue, ...]], Residue] = {}
         self.values: list[Residue] = []
@@ -79,37 +80,55 @@ class Fingerprints:
             value = tuple(row.field(*(operand[k] for operand in operands)) for k in range(POINTS))
         except ZeroDivisionError:
             return _opaque(op, operands)
-        self._note_linear(op, operands, value)
+        self._made.setdefault(value, (op, operands))
         return value
 
     # ---- angles ----
 
     def linear(self, value: Residue) -> Linear:
         """A value as a combination of atoms: itself, unless sums and rational multiples made it."""
-        found = self._linear.get(value)
-        if found is not None:
-            return found
-        if all(v == value[0] for v in value):
-            constant = _small_constant(value)
-            if constant is not None:
-                return {_ONE_RADIAN: constant} if constant else {}
-        atom, flipped = unsigned(value)
-        return {atom: Fraction(-1 if flipped else 1)}
+        stack = [value]
+        while stack:
+            top = stack[-1]
+            missing = [] if top in self._linear else [o for o in self._parts(top) if o not in self._linear]
+            if missing:
+                stack += missing
+                continue
+            if top not in self._linear:
+                self._linear[top] = self._combined(top)
+            stack.pop()
+        return self._linear[value]
 
-    def _note_linear(self, op: str, operands: tuple[Residue, ...], value: Residue) -> None:
-        if value in self._linear:
-            return
-        if op in ("add", "sub"):
-            self._linear[value] = _combine(self.linear(operands[0]), self.linear(operands[1]), -1 if op == "sub" else 1)
-        elif op == "neg":
-            self._linear[value] = {atom: -c for atom, c in self.linear(operands[0]).items()}
-        elif op in ("mul", "div"):
-            for factor, other in ((operands[1], operands[0]), (operands[0], operands[1])):
-                number = _small_constant(factor)
-                if number and (op == "mul" or factor is operands[1]):
-                    scale = number if op == "mul" else 1 / number
-                    self._linear[value] = {atom: scale * c for atom, c in self.linear(other).items()}
-                    return
+    def _parts(self, value: Residue) -> tuple[Residue, ...]:
+        """The operands through which a value is linear."""
+        op, operands = self._made.get(value, ("", ()))
+        if op in ("add", "sub", "neg"):
+            return operands
+        if op == "mul" and _small_constant(operands[0]):
+            return operands[1:]
+        if op in ("mul", "div") and _small_constant(operands[1]):
+            return operands[:1]
+        return ()
+
+    def _combined(self, value: Residue) -> Linear:
+        constant = _small_constant(value)
+        if constant is not None:
+            return {_ONE_RADIAN: constant} if constant else {}
+        parts = [self._linear[o] for o in self._parts(value)]
+        if not parts:
+            atom, flipped = unsigned(value)
+            return {atom: Fraction(-1 if flipped else 1)}
+        op, operands = self._made[value]
+        if len(parts) == 2:
+            return _combine(parts[0], parts[1], -1 if op == "sub" else 1)
+        if op == "neg":
+            scale: Fraction | None = Fraction(-1)
+        elif op == "mul":
+            scale = _small_constant(operands[0]) or _small_constant(operands[1])
+        else:
+            scale = 1 / (_small_constant(operands[1]) or Fraction(1))
+        assert scale is not None
+        return {atom: scale * c for atom, c in parts[0].items()}
 
     def _of_angle(self, op: str, angle: Residue) -> Residue:
         circle: Circle = ((1, 0),) * POINTS
@@ -179,6 +198,8 @@ def _opaque(op: str, operands: tuple[Residue, ...]) -> Residue:
 
 
 def _small_constant(value: Residue) -> Fraction | None:
+    if any(v != value[0] for v in value):
+        return None
     found = as_rational(value, 2**60)
     return None if found is None else Fraction(*found)
 

@@ -5,13 +5,13 @@ an atom or a coefficient. Several orders of choice are tried, and the cheapest p
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
 from servogen.ir.binding import depends_on_parameters_alone
 from servogen.ir.field import Residue, as_rational, unsigned
-from servogen.ir.program import Program, live
+from servogen.ir.program import Program
 from servogen.optimise.cones import Cones
 from servogen.optimise.cost import OPERATION, Objective, weight
 from servogen.optimise.fingerprint import Fingerprints
@@ -66,7 +66,11 @@ class _Search:
         self.early = depends_on_parameters_alone(program)
         self.masks = Hazards(program, fingerprints).masks
         self.out = Rewriter(program, fingerprints)
-        self.targets = [k for k in _targets(program, self.early) if self.cones.private(k) > 2 * OPERATION // 4]
+        self.by_value: dict[Residue, int] = {}
+        for k, instr in enumerate(program.instrs):
+            if instr.op not in ("const", "neg") and not self.early[k]:
+                self.by_value.setdefault(unsigned(fingerprints.values[k])[0], k)
+        self.targets = [k for k in _targets(program, self.early) if self.cones.private(k) > OPERATION // 2]
         shared = _shared(program)
         self.forms = [expansions(program, shared)]
         if shared and len(program.instrs) - sum(self.early) <= _SMALL:
@@ -76,8 +80,15 @@ class _Search:
         """The program with the cheapest form of the target, or None where it gains nothing."""
         cones, out = self.cones, self.out
         share = cones.costs[target] / weight(self.program.instrs[target].op)
-        reusable = self._reusable(target)
         freed = cones.release(target) + cones.costs[target]
+
+        def reusable(value: Residue) -> int | None:
+            """A node with this value up to sign that is live without the target and does not depend on it."""
+            k = self.by_value.get(value)
+            if k is None or not cones.refs[k] or self.masks[k] & ~self.masks[target] or cones.depends(k, target):
+                return None
+            return k
+
         count = len(out.instrs)
         best: tuple[int, Polynomial, _Style] | None = None
         seen: list[Polynomial] = []
@@ -103,20 +114,6 @@ class _Search:
         assert root is not None
         out.replace(target, root)
         return out.finish()
-
-    def _reusable(self, target: int) -> dict[Residue, int]:
-        """Nodes that are live without the target and do not depend on it, by value up to sign."""
-        instrs = self.program.instrs
-        after = {target}
-        for k in range(target + 1, len(instrs)):
-            if any(a in after for a in instrs[k].args):
-                after.add(k)
-        found: dict[Residue, int] = {}
-        for k in sorted(_live_without(self.program, target) - after):
-            if instrs[k].op in ("const", "neg") or self.early[k] or self.masks[k] & ~self.masks[target]:
-                continue
-            found.setdefault(unsigned(self.out.values[k])[0], k)
-        return found
 
 
 def _targets(program: Program, early: list[bool]) -> list[int]:
@@ -152,9 +149,11 @@ class _Term:
 class _Builder:
     """Appends one form of a polynomial to a program."""
 
-    def __init__(self, out: Rewriter, early: list[bool], reusable: dict[Residue, int], style: _Style) -> None:
+    def __init__(
+        self, out: Rewriter, early: list[bool], reusable: Callable[[Residue], int | None], style: _Style
+    ) -> None:
         self.out, self.early, self.style = out, early, style
-        self.reusable = reusable if style.reuse else {}
+        self.reusable = reusable if style.reuse else None
         self.coefficients: dict[Residue, int] = {}
 
     def build(self, polynomial: Polynomial) -> int | None:
@@ -220,11 +219,11 @@ class _Builder:
         return self.out.sum(self._emit(rest), product) if rest else product
 
     def _known(self, terms: list[_Term]) -> Signed | None:
-        if not self.reusable or (len(terms) == 1 and len(terms[0].monomial) <= 1 and terms[0].coefficient is None):
+        if self.reusable is None or (len(terms) == 1 and len(terms[0].monomial) <= 1 and terms[0].coefficient is None):
             return None
         value = self._value(terms)
         key, flipped = unsigned(value)
-        node = self.reusable.get(key)
+        node = self.reusable(key)
         return None if node is None else (node, flipped != unsigned(self.out.values[node])[1])
 
     def _value(self, terms: list[_Term]) -> Residue:
@@ -309,13 +308,3 @@ def _divided(term: _Term, factor: tuple[str, int]) -> _Term:
         return _Term(None, term.negative, term.monomial)
     left = tuple((a, e - (a == k)) for a, e in term.monomial if (a, e) != (k, 1))
     return _Term(term.coefficient, term.negative, left)
-
-
-def _live_without(program: Program, target: int) -> set[int]:
-    """What the outputs need if the target were an input."""
-    roots = [n for o in program.outputs for n in o.nodes]
-    needed = set(roots)
-    for k in range(len(program.instrs) - 1, -1, -1):
-        if k in needed and k != target:
-            needed.update(program.instrs[k].args)
-    return needed & live(program, roots)

@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.ir.field import Residue, rational, unsigned
+from servogen.ir.field import POINTS, PRIME, Residue, inverse, unsigned
 from servogen.ir.program import Program
 from servogen.optimise.cones import Cones
 from servogen.optimise.cost import Objective, weight
@@ -22,6 +22,7 @@ _SHORT = 2**31 - 1
 _TABLE = 1 << 20
 _MOST_WORK = 60_000_000  # nodes times candidates; a larger program is searched in part, its largest cones first
 _RATIOS = tuple(Fraction(n, d) for n, d in ((2, 1), (1, 2), (3, 1), (1, 3), (4, 1), (1, 4), (3, 2), (2, 3)))
+_INVERSE_RATIOS = tuple(tuple(r.denominator * inverse(r.numerator) % PRIME for _ in range(POINTS)) for r in _RATIOS)
 
 Words = NDArray[np.int64]
 
@@ -42,6 +43,7 @@ class _Search:
         self.masks = Hazards(program, self.fingerprints).masks
         self.cones = Cones(program, objective)
         self.main = [c == weight(i.op) for c, i in zip(self.cones.costs, program.instrs, strict=True)]
+        self.inverses: dict[int, Residue] = {}
         self.node_of: dict[Residue, int] = {}
         for k, value in enumerate(self.values):
             self.node_of.setdefault(unsigned(value)[0], k)
@@ -77,11 +79,9 @@ class _Search:
 
     def _recipes(self, v: int) -> Iterator[Recipe]:
         """Ways to compute v from one or two other values, unproven as to their order and cost."""
-        of, value = self.fingerprints.of, self.values[v]
-        for n, ratio in enumerate(_RATIOS):
-            number = rational(ratio.numerator, ratio.denominator)
-            assert number is not None
-            if (found := self._signed(of("div", value, number))) is not None:
+        value = self.values[v]
+        for n, number in enumerate(_INVERSE_RATIOS):
+            if (found := self._signed(tuple(a * b % PRIME for a, b in zip(value, number, strict=True)))) is not None:
                 yield "mul", -n - 1, found[0], found[1]
         short = int(self.short[v])
         for form, wanted in (
@@ -95,10 +95,16 @@ class _Search:
     def _confirmed(self, form: str, v: int, x: int) -> Iterator[Recipe]:
         if x == v or self.program.instrs[x].op == "neg":
             return
-        value = self.values[x]
-        if not any(value):
+        pairs = zip(self.values[v], self.values[x], strict=True)
+        if form == "sub":
+            wanted = tuple((a - b) % PRIME for a, b in pairs)
+        elif form == "add":
+            wanted = tuple((a + b) % PRIME for a, b in pairs)
+        elif not all(self.values[x]):
             return
-        found = self._signed(self.fingerprints.of(form, self.values[v], value))
+        else:
+            wanted = tuple(a * b % PRIME for a, b in zip(self.values[v], self._inverse_of(x), strict=True))
+        found = self._signed(wanted)
         if found is None or found[0] == v:
             return
         y, flipped = found
@@ -111,6 +117,11 @@ class _Search:
                 yield "sub", y, x, False
         else:
             yield "mul", x, y, flipped
+
+    def _inverse_of(self, x: int) -> Residue:
+        if x not in self.inverses:
+            self.inverses[x] = tuple(inverse(a) for a in self.values[x])
+        return self.inverses[x]
 
     def _signed(self, value: Residue) -> tuple[int, bool] | None:
         """The node of a value or of its negative."""

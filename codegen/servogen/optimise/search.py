@@ -3,6 +3,7 @@
 A new pass is one more entry in SEARCH. passes.py simplifies before and after each.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +31,9 @@ SEARCH: tuple[tuple[str, Pass], ...] = (
     ("resubstitution", resubstitute),
 )
 
-_ROUNDS = 6
+_ROUNDS = 8
+_PATIENCE = 2  # a pass that gained nothing so often in a row is left out
+_WORTHWHILE = 5e-4  # a round that gains less, relative to the cost, is the last
 
 
 @dataclass(frozen=True)
@@ -74,13 +77,17 @@ def search(
     best = optimise(program)
     accuracy = Accuracy.of(best, states)
     steps: list[Step] = []
+    idle: Counter[str] = Counter()
     for _ in range(_ROUNDS):
         before = objective.cost(best)
         for name, run in SEARCH:
-            if name not in without:
-                best, step = _attempt(best, name, run, objective, accuracy)
-                steps.append(step)
-        if objective.cost(best) >= before:
+            if name in without or idle[name] >= _PATIENCE:
+                continue
+            cost = objective.cost(best)
+            best, step = _attempt(best, name, run, objective, accuracy)
+            idle[name] = idle[name] + 1 if objective.cost(best) == cost else 0
+            steps.append(step)
+        if objective.cost(best) > before * (1 - _WORTHWHILE):
             break
     return Optimised(best, tuple(steps))
 
