@@ -7,6 +7,7 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.program import Program
 from servogen.optimise.for_scene import SceneProgram
+from servogen.plan.chunks import split
 from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -118,7 +119,8 @@ class _Cutter:
             results = tuple(
                 Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula) for q in quantities
             )
-            self._kernels[label] = Kernel(label, cut(self._staged.tick, label, outputs), results, guarded)
+            program = cut(self._staged.tick, label, outputs)
+            self._kernels[label] = Kernel(label, program, results, guarded, split(program))
         return self._kernels[label]
 
     def kernels(self) -> tuple[Kernel, ...]:
