@@ -5,10 +5,9 @@ from pathlib import Path
 
 from servogen.derive.derive import derive
 from servogen.derive.formulation import MassTreatment, Quantity
-from servogen.derive.lower import lower, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
-from servogen.optimise.passes import optimise
+from servogen.optimise.for_scene import optimise_formulation, optimise_quantities
 from servogen.package import Package, write
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
@@ -34,8 +33,7 @@ def build(
 def compile_scene(scene: Scene, target: Target) -> Module:
     """Scene -> Module: every stage but printing and writing."""
     formulation = derive(scene)
-    program = lower(formulation)
-    program = optimise(program)
+    program = optimise_formulation(formulation)
     return plan(formulation, program, target)
 
 
@@ -67,8 +65,7 @@ def build_plant(
 
 def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, target: Target) -> Module:
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
-    program = lower_quantities(scene, quantities, mass)
-    program = optimise(program)
+    program = optimise_quantities(scene, quantities, mass)
     return plan_functions(scene, quantities, mass, program, target)
 
 

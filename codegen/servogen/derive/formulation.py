@@ -25,6 +25,7 @@ class MassTreatment:
     reason: str
     pivots: tuple[Any, ...] = ()
     scales: tuple[Any, ...] = ()
+    positive_definite: bool = False  # at every state drawn from the domain
 
 
 @dataclass(frozen=True, eq=False)

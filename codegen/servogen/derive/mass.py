@@ -13,6 +13,7 @@ from servogen.errors import SceneError
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input
 from servogen.optimise.passes import optimise
+from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
@@ -27,10 +28,10 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     samples = sample(scene, Q)
     _check_regular(scene, Q, samples)
     if _is_diagonal(Q):
-        return _solve_diagonal(Q, right)
+        return _solve_diagonal(Q, right, positive=_is_positive_definite(samples))
     if not is_symmetric(scene, Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
-    if not all(np.all(np.linalg.eigvalsh(value) > 0) for value in samples):
+    if not _is_positive_definite(samples):
         return _solve_lu(Q, right, "Q is symmetric but not positive definite over the domain")
     return _solve_ldlt(Q, right)
 
@@ -54,9 +55,13 @@ def is_symmetric(scene: Scene, matrix: Any) -> bool:
     n = matrix.size1()
     inputs = _symbols_as_inputs(matrix)
     pairs = [(f"e{i}_{j}", matrix[i, j]) for i in range(n) for j in range(n) if i != j]
-    program = optimise(lower_expressions("symmetry", inputs, pairs))
+    program = number_values(optimise(lower_expressions("symmetry", inputs, pairs)))
     node = {o.name: o.nodes[0] for o in program.outputs}
     return all(node[f"e{i}_{j}"] == node[f"e{j}_{i}"] for i in range(n) for j in range(i))
+
+
+def _is_positive_definite(samples: FloatArray) -> bool:
+    return all(bool(np.all(np.linalg.eigvalsh(value) > 0)) for value in samples)
 
 
 def _symbols_as_inputs(expression: Any) -> list[tuple[Input, Any]]:
@@ -119,7 +124,7 @@ def _guards(pivots: list[Any], scales: list[Any], positive: bool) -> tuple[tuple
     return tuple(p for p, _ in kept), tuple(s for _, s in kept)
 
 
-def _solve_diagonal(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
+def _solve_diagonal(Q: Any, right: Any, positive: bool) -> tuple[Any, MassTreatment]:
     diagonal = [Q[k, k] for k in range(Q.size1())]
     if all(d.is_one() for d in diagonal):
         return right, MassTreatment("identity", "Q is the identity: no solve")
@@ -128,7 +133,7 @@ def _solve_diagonal(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
         if d.is_constant() and float(d) == 0:
             raise SceneError(f"Q is structurally singular: its diagonal entry {k} is zero")
     pivots, scales = _guards([ca.fabs(d) for d in diagonal], [ca.SX(0)] * len(diagonal), positive=False)
-    return _matrix(solution), MassTreatment("diagonal", "Q is diagonal: one division per row", pivots, scales)
+    return _matrix(solution), MassTreatment("diagonal", "Q is diagonal: one division per row", pivots, scales, positive)
 
 
 def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
@@ -158,7 +163,7 @@ def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
                 x[i][c] = _minus(x[i][c], L[k][i], x[k][c])
     pivots, scales = _guards(d, [q[k][k] for k in range(n)], positive=True)
     reason = "Q is symmetric by proof and positive definite over the domain: one LDL^T"
-    return _matrix(x), MassTreatment("LDL^T", reason, pivots, scales)
+    return _matrix(x), MassTreatment("LDL^T", reason, pivots, scales, positive_definite=True)
 
 
 def _solve_lu(Q: Any, right: Any, reason: str) -> tuple[Any, MassTreatment]:

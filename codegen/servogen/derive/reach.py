@@ -10,6 +10,7 @@ from servogen.errors import SceneError
 from servogen.ir.evaluate import evaluate
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
+from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
@@ -24,7 +25,8 @@ def check_reach(formulation: Formulation) -> None:
     """
     scene, name = formulation.scene, formulation.system[0]
     labels = _row_labels(scene)
-    program = optimise(lower_quantities(scene, [q for q in formulation.quantities if q.name == name]))
+    quantities = [q for q in formulation.quantities if q.name == name]
+    program = number_values(optimise(lower_quantities(scene, quantities)))
     states = draw_states(scene, _SAMPLES) | parameter_defaults(scene)
     values = evaluate(program, states)[name]
     bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, scene.rows, scene.controls)

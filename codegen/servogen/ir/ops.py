@@ -14,6 +14,8 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 
+from servogen.ir.field import PRIME, inverse
+
 Evaluator = Callable[..., Any]
 
 
@@ -26,6 +28,8 @@ class Op:
     exact: on Fractions, or None where the result is irrational in general.
     partials: (operands..., value) -> derivative with respect to each operand, on arrays.
     rounding: its largest error in units in the last place (0.5: correctly rounded; 0: exact).
+    field: on residues of ir/field.py; None where no formula over a field gives the operation (it is opaque there), and
+    for division by zero. parity: "odd" or "even" in the last operand where opaque ones have a symmetry.
     """
 
     name: str
@@ -38,6 +42,8 @@ class Op:
     partials: Evaluator
     rounding: float
     commutative: bool = False
+    field: Evaluator | None = None
+    parity: str = ""
 
     @property
     def needs_libm(self) -> bool:
@@ -90,25 +96,28 @@ def _remainder(a: Any, b: Any) -> Any:
 
 _ROWS = (
     Op("add", 2, ca.OP_ADD, "{0} + {1}", np.add, lambda a, b: a + b, lambda a, b: a + b,
-       lambda a, b, v: (np.ones_like(a), np.ones_like(b)), 0.5, commutative=True),
+       lambda a, b, v: (np.ones_like(a), np.ones_like(b)), 0.5, commutative=True,
+       field=lambda a, b: (a + b) % PRIME),
     Op("sub", 2, ca.OP_SUB, "{0} - {1}", np.subtract, lambda a, b: a - b, lambda a, b: a - b,
-       lambda a, b, v: (np.ones_like(a), -np.ones_like(b)), 0.5),
+       lambda a, b, v: (np.ones_like(a), -np.ones_like(b)), 0.5, field=lambda a, b: (a - b) % PRIME),
     Op("mul", 2, ca.OP_MUL, "{0} * {1}", np.multiply, lambda a, b: a * b, lambda a, b: a * b, lambda a, b, v: (b, a),
-       0.5, commutative=True),
+       0.5, commutative=True, field=lambda a, b: a * b % PRIME),
     Op("div", 2, ca.OP_DIV, "{0} / {1}", np.divide, lambda a, b: a / b, lambda a, b: a / b if b else None,
-       lambda a, b, v: (_safe(1.0, b), -_safe(v, b)), 0.5),
-    Op("neg", 1, ca.OP_NEG, "-{0}", np.negative, lambda a: -a, lambda a: -a, lambda a, v: (-np.ones_like(a),), 0.0),
+       lambda a, b, v: (_safe(1.0, b), -_safe(v, b)), 0.5, field=lambda a, b: a * inverse(b) % PRIME),
+    Op("neg", 1, ca.OP_NEG, "-{0}", np.negative, lambda a: -a, lambda a: -a, lambda a, v: (-np.ones_like(a),), 0.0,
+       field=lambda a: -a % PRIME),
     Op("sqrt", 1, ca.OP_SQRT, "sqrt{f}({0})", np.sqrt, mp.sqrt, _exact_sqrt, lambda a, v: (_safe(0.5, v),), 0.5),
-    Op("fabs", 1, ca.OP_FABS, "fabs{f}({0})", np.fabs, mp.fabs, abs, lambda a, v: (np.sign(a),), 0.0),
+    Op("fabs", 1, ca.OP_FABS, "fabs{f}({0})", np.fabs, mp.fabs, abs, lambda a, v: (np.sign(a),), 0.0,
+       parity="even"),
     Op("sin", 1, ca.OP_SIN, "sin{f}({0})", np.sin, mp.sin, _at_zero(0), lambda a, v: (np.cos(a),), 1.0),
     Op("cos", 1, ca.OP_COS, "cos{f}({0})", np.cos, mp.cos, _at_zero(1), lambda a, v: (-np.sin(a),), 1.0),
     Op("tan", 1, ca.OP_TAN, "tan{f}({0})", np.tan, mp.tan, _at_zero(0), lambda a, v: (1.0 + v * v,), 1.0),
     Op("asin", 1, ca.OP_ASIN, "asin{f}({0})", np.arcsin, mp.asin, _at_zero(0),
-       lambda a, v: (_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0),
+       lambda a, v: (_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, parity="odd"),
     Op("acos", 1, ca.OP_ACOS, "acos{f}({0})", np.arccos, mp.acos, None,
        lambda a, v: (-_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0),
     Op("atan", 1, ca.OP_ATAN, "atan{f}({0})", np.arctan, mp.atan, _at_zero(0), lambda a, v: (1.0 / (1.0 + a * a),),
-       1.0),
+       1.0, parity="odd"),
     Op("atan2", 2, ca.OP_ATAN2, "atan2{f}({0}, {1})", np.arctan2, mp.atan2, None,
        lambda a, b, v: (_safe(b, a * a + b * b), -_safe(a, a * a + b * b)), 1.0),
     Op("exp", 1, ca.OP_EXP, "exp{f}({0})", np.exp, mp.exp, _at_zero(1), lambda a, v: (v,), 1.0),
@@ -117,15 +126,18 @@ _ROWS = (
     Op("expm1", 1, ca.OP_EXPM1, "expm1{f}({0})", np.expm1, mp.expm1, _at_zero(0), lambda a, v: (v + 1.0,), 1.0),
     Op("log1p", 1, ca.OP_LOG1P, "log1p{f}({0})", np.log1p, mp.log1p, _at_zero(0), lambda a, v: (_safe(1.0, 1.0 + a),),
        1.0),
-    Op("sinh", 1, ca.OP_SINH, "sinh{f}({0})", np.sinh, mp.sinh, _at_zero(0), lambda a, v: (np.cosh(a),), 2.0),
-    Op("cosh", 1, ca.OP_COSH, "cosh{f}({0})", np.cosh, mp.cosh, _at_zero(1), lambda a, v: (np.sinh(a),), 2.0),
-    Op("tanh", 1, ca.OP_TANH, "tanh{f}({0})", np.tanh, mp.tanh, _at_zero(0), lambda a, v: (1.0 - v * v,), 2.0),
+    Op("sinh", 1, ca.OP_SINH, "sinh{f}({0})", np.sinh, mp.sinh, _at_zero(0), lambda a, v: (np.cosh(a),), 2.0,
+       parity="odd"),
+    Op("cosh", 1, ca.OP_COSH, "cosh{f}({0})", np.cosh, mp.cosh, _at_zero(1), lambda a, v: (np.sinh(a),), 2.0,
+       parity="even"),
+    Op("tanh", 1, ca.OP_TANH, "tanh{f}({0})", np.tanh, mp.tanh, _at_zero(0), lambda a, v: (1.0 - v * v,), 2.0,
+       parity="odd"),
     Op("asinh", 1, ca.OP_ASINH, "asinh{f}({0})", np.arcsinh, mp.asinh, _at_zero(0),
-       lambda a, v: (1.0 / np.sqrt(1.0 + a * a),), 2.0),
+       lambda a, v: (1.0 / np.sqrt(1.0 + a * a),), 2.0, parity="odd"),
     Op("acosh", 1, ca.OP_ACOSH, "acosh{f}({0})", np.arccosh, mp.acosh, None,
        lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0),
     Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, mp.atanh, _at_zero(0),
-       lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0),
+       lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0, parity="odd"),
     Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, mp.power, _exact_pow, _pow_partials, 1.0),
     Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, mp.hypot, None,
        lambda a, b, v: (_safe(a, v), _safe(b, v)), 1.0, commutative=True),
@@ -140,7 +152,7 @@ _ROWS = (
     Op("floor", 1, ca.OP_FLOOR, "floor{f}({0})", np.floor, mp.floor, lambda a: Fraction(math.floor(a)), _zero, 0.0),
     Op("ceil", 1, ca.OP_CEIL, "ceil{f}({0})", np.ceil, mp.ceil, lambda a: Fraction(math.ceil(a)), _zero, 0.0),
     Op("sign", 1, ca.OP_SIGN, "({real})(({0} > 0) - ({0} < 0))", np.sign, mp.sign,
-       lambda a: Fraction((a > 0) - (a < 0)), _zero, 0.0),
+       lambda a: Fraction((a > 0) - (a < 0)), _zero, 0.0, parity="odd"),
     Op("copysign", 2, ca.OP_COPYSIGN, "copysign{f}({0}, {1})", np.copysign,
        lambda a, b: abs(a) if b >= 0 else -abs(a), None,
        lambda a, b, v: (np.where(np.signbit(a) == np.signbit(b), 1.0, -1.0), np.zeros_like(b)), 0.0),
@@ -161,7 +173,8 @@ _ROWS = (
        lambda a, b: mp.mpf(a != 0 or b != 0), lambda a, b: Fraction(a != 0 or b != 0), _zero, 0.0, commutative=True),
     Op("if_else_zero", 2, ca.OP_IF_ELSE_ZERO, "({0} != 0 ? {1} : 0)",
        lambda a, b: np.where(a != 0, b, np.zeros_like(b)), lambda a, b: b if a != 0 else mp.mpf(0),
-       lambda a, b: b if a != 0 else Fraction(0), lambda a, b, v: (np.zeros_like(a), (a != 0) * 1.0), 0.0),
+       lambda a, b: b if a != 0 else Fraction(0), lambda a, b, v: (np.zeros_like(a), (a != 0) * 1.0), 0.0,
+       parity="odd"),
 )
 # fmt: on
 

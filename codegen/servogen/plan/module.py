@@ -5,6 +5,7 @@ from typing import Any
 
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
+from servogen.plan.chunks import Chunks
 from servogen.plan.solver import SolverPlan
 from servogen.scene.solver import Scalar
 
@@ -51,13 +52,15 @@ class Result:
 class Kernel:
     """Straight-line code: (model, inputs) -> results, cut from the scene's one program.
 
-    `guards` is the number of pivots of Q that it hands to its caller for the test of SINGULAR_MASS.
+    `guards` is the number of pivots of Q that it hands to its caller for the test of SINGULAR_MASS. `chunks` are the
+    pieces of a kernel too long for one function.
     """
 
     name: str
     program: Program
     results: tuple[Result, ...]
     guards: int = 0
+    chunks: Chunks | None = None
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
+from servogen.optimise.for_scene import SceneProgram
+from servogen.plan.chunks import split
 from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -18,11 +20,11 @@ PROJECTION_CAP = 25
 """Iterations of project where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
 
 
-def plan(formulation: Formulation, program: Program, target: Target) -> Module:
+def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> Module:
     """Every decision about the C of one scene."""
-    scene = formulation.scene
+    scene, program = formulation.scene, optimised.program
     staged = stage(program)
-    cutter = _Cutter(staged, formulation.quantities)
+    cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass)
     matrix, right = formulation.system
     constraint = formulation.constraint
     entry_points = [
@@ -52,7 +54,7 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
         control=control,
         solver=solver,
         mass_tolerance=_mass_tolerance(scene, target.scalar),
-        skipped=_skipped(scene, formulation.mass, solver, inputs, staged),
+        skipped=_skipped(formulation, optimised, solver, inputs, staged),
     )
 
 
@@ -66,11 +68,12 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
 
 
 def plan_functions(
-    scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, program: Program, target: Target
+    scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, optimised: SceneProgram, target: Target
 ) -> Module:
     """One entry point that computes all quantities together: the plant of a simulation."""
+    program = optimised.program
     staged = stage(program)
-    cutter = _Cutter(staged, quantities)
+    cutter = _Cutter(staged, quantities, optimised.free_of_mass)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
     fields = scene.input_fields() if scene.kind == "controls" else (*scene.input_fields(), tau)
@@ -99,9 +102,10 @@ def scene_hash(scene: Scene, program: Program) -> str:
 
 
 class _Cutter:
-    """Cuts kernels from the tick program, each set of outputs once."""
+    """Cuts kernels from the tick program, each set of outputs once; those free of Q need no test of its pivots."""
 
-    def __init__(self, staged: Staged, quantities: Sequence[Quantity]) -> None:
+    def __init__(self, staged: Staged, quantities: Sequence[Quantity], free_of_mass: frozenset[str]) -> None:
+        self._free_of_mass = free_of_mass
         self._staged = staged
         self._quantities = {q.name: q for q in quantities}
         self._kernels: dict[str, Kernel] = {}
@@ -110,12 +114,14 @@ class _Cutter:
         label = "_".join(names)
         if label not in self._kernels:
             quantities = [self._quantities[n] for n in names]
-            guarded = self._staged.tick_guards if any(q.needs_mass for q in quantities) else 0
+            dividing = any(q.needs_mass and q.name not in self._free_of_mass for q in quantities)
+            guarded = self._staged.tick_guards if dividing else 0
             outputs = names + ((MASS_PIVOT, MASS_SCALE) if guarded else ())
             results = tuple(
                 Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula) for q in quantities
             )
-            self._kernels[label] = Kernel(label, cut(self._staged.tick, label, outputs), results, guarded)
+            program = cut(self._staged.tick, label, outputs)
+            self._kernels[label] = Kernel(label, program, results, guarded, split(program))
         return self._kernels[label]
 
     def kernels(self) -> tuple[Kernel, ...]:
@@ -157,10 +163,15 @@ def _mass_tolerance(scene: Scene, scalar: Scalar) -> float:
 
 
 def _skipped(
-    scene: Scene, mass: MassTreatment, solver: SolverPlan, inputs: Sequence[StructField], staged: Staged
+    formulation: Formulation,
+    optimised: SceneProgram,
+    solver: SolverPlan,
+    inputs: Sequence[StructField],
+    staged: Staged,
 ) -> dict[str, tuple[str, ...]]:
     """What this scene does not need, by entry point, with the reason."""
-    system: list[str] = [f"inverse of Q: {mass.reason}"]
+    scene = formulation.scene
+    system: list[str] = []
     if scene.mechanism.C is None:
         system.append("C: q' = u")
     if scene.mechanism.D is None:
@@ -172,11 +183,24 @@ def _skipped(
     early = staged.prepare.operations()["total"]
     if early:
         system.append(f"{early} operations of parameters alone: done once, in prepare")
-    control = list(system)
+    system += optimised.remarks
+    matrix, right = formulation.system
+    entries = {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
+    by_entry = {name: (*_about_mass(formulation, optimised, parts), *system) for name, parts in entries.items()}
+    control = [*by_entry[f"{matrix}_{right}"]]
     if solver.kind != "svd":
         control.append(f"SVD: S is a {solver.kind}, the closed form is exact")
     if scene.y is None:
         control.append("null-space projector: y is absent")
-    matrix, right = ("S", "z") if scene.kind == "servo" else ("A", "B")
-    by_entry = {name: tuple(system) for name in (matrix, right, f"{matrix}_{right}")}
     return by_entry | {"control": tuple(control)}
+
+
+def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> tuple[str, ...]:
+    """How an entry point that hands out `parts` gets by without the inverse of Q."""
+    needing = {q.name for q in formulation.quantities if q.needs_mass} & set(parts)
+    if not formulation.mass.pivots or not needing or not needing <= optimised.free_of_mass:
+        return (f"inverse of Q: {formulation.mass.reason}",)
+    return (
+        "factorisation of Q: the solve cancels, its answer is an expression without Q's pivots",
+        "test at each tick that Q is regular: nothing divides by its pivots, Q is positive definite over the domain",
+    )

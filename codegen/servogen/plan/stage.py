@@ -1,9 +1,9 @@
 """Binding times: what parameters alone decide is computed in prepare, the rest at each tick."""
 
 from dataclasses import dataclass
-from fractions import Fraction
 
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
+from servogen.ir.binding import depends_on_parameters_alone, is_constant
 from servogen.ir.program import Input, Instr, Output, Program, check_legal, live, rebuild
 from servogen.optimise.schedule import schedule
 
@@ -20,13 +20,13 @@ class Staged:
 
 def stage(program: Program) -> Staged:
     """Split a program in two at the values that depend on parameters alone."""
-    from_parameters = _depends_on_parameters_alone(program)
+    from_parameters = depends_on_parameters_alone(program)
     guards = _guards_by_time(program, from_parameters)
     outputs = [o for o in program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
     if guards[1]:
         outputs += _guard_outputs(guards[1])
     tick_nodes = live(program, (n for o in outputs for n in o.nodes))
-    at_tick = {k for k in tick_nodes if not from_parameters[k] and not _is_constant(program, k)}
+    at_tick = {k for k in tick_nodes if not from_parameters[k] and not is_constant(program, k)}
     handed_over = {a for k in at_tick for a in program.instrs[k].args if from_parameters[a]}
     handed_over |= {n for o in outputs for n in o.nodes if from_parameters[n]}
     model, leaf = _name_model(program, sorted(handed_over))
@@ -43,25 +43,6 @@ def cut(tick: Program, name: str, outputs: tuple[str, ...]) -> Program:
     return schedule(Program(name, part.inputs, part.instrs, part.outputs))
 
 
-def _is_constant(program: Program, k: int) -> bool:
-    return isinstance(program.instrs[k].const, Fraction)
-
-
-def _depends_on_parameters_alone(program: Program) -> list[bool]:
-    """Per instruction: known once the parameters are, and not a constant."""
-    kinds = {i.name: i.kind for i in program.inputs}
-    result: list[bool] = []
-    for k, instr in enumerate(program.instrs):
-        if isinstance(instr.const, tuple):
-            result.append(kinds[instr.const[0]] == "parameter")
-        elif _is_constant(program, k):
-            result.append(False)
-        else:
-            known = [result[a] or _is_constant(program, a) for a in instr.args]
-            result.append(all(known))
-    return result
-
-
 Guards = list[tuple[int, int]]
 
 
@@ -72,7 +53,7 @@ def _guards_by_time(program: Program, from_parameters: list[bool]) -> tuple[Guar
     pairs = list(zip(program.output(MASS_PIVOT).nodes, program.output(MASS_SCALE).nodes, strict=True))
 
     def early(k: int) -> bool:
-        return from_parameters[k] or _is_constant(program, k)
+        return from_parameters[k] or is_constant(program, k)
 
     return [p for p in pairs if early(p[0]) and early(p[1])], [p for p in pairs if not (early(p[0]) and early(p[1]))]
 

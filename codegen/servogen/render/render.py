@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from servogen.errors import SceneError
 from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
-from servogen.render.kernels import reads, statements
+from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
@@ -78,6 +78,8 @@ def _context(module: Module) -> dict[str, Any]:
         "solver_cost": _solver_cost(module),
         "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
         "statements": partial(statements, scalar=scalar),
+        "pieces": partial(pieces, scalar=scalar),
+        "pieces_anywhere": any(k.chunks for k in kernels),
         "reads": reads,
         "initialiser": partial(_initialiser, scalar=scalar),
     }

@@ -14,15 +14,15 @@ import mpmath as mp
 import numpy as np
 
 from servogen.derive.derive import derive
-from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, lower
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
-from servogen.ir.program import Program
 from servogen.ir.rounding import rounding_bounds
-from servogen.optimise.passes import optimise
+from servogen.optimise.for_scene import optimise_formulation
 from servogen.plan.module import Module
 from servogen.results import FloatArray, Status
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
+from servogen.scene.solver import EPSILON
 from servogen.twins import textbook_solver
 from servogen.verify import exact
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, EntryVectors, OutputVectors, VectorSet
@@ -81,22 +81,26 @@ class Truth:
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
         self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
         self.count = len(next(iter(self.inputs.values())))
-        self.program = optimise(lower(derive(scene)))
+        optimised = optimise_formulation(derive(scene))
+        self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.finite = np.array([self._inputs_finite(k) for k in range(self.count)])
-        self.points = self._points(self.program, self.inputs)
+        self.points = self._points(self.inputs)
         self.answers = [self._answer(k) for k in range(self.count)]
 
     def _inputs_finite(self, k: int) -> bool:
         return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.inputs)
 
-    def _points(self, program: Program, inputs: dict[str, Any]) -> list[Point]:
+    def _points(self, inputs: dict[str, Any]) -> list[Point]:
         everything = inputs | self.parameters
         floats = {n: np.array(v, dtype=float) for n, v in everything.items()}
-        bounds = rounding_bounds(program, floats, self.scalar)
-        rounded = evaluate(program, everything, self.dtype)
+        bounds = rounding_bounds(self.program, floats, self.scalar)
+        rounded = evaluate(self.program, everything, self.dtype)
         points = []
-        for k, values in enumerate(evaluate_exactly(program, everything)):
+        own = rounding_bounds(self.exact, floats, "float64")
+        pairs = zip(evaluate_exactly(self.program, everything), evaluate_exactly(self.exact, everything), strict=True)
+        for k, (values, unoptimised) in enumerate(pairs):
+            _same(values, unoptimised, {n: _row(v, k) for n, v in own.items()})
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
             limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
             points.append(Point(values, limits, at, self._status(k, at)))
@@ -256,7 +260,7 @@ class Truth:
         projected = [self._projected(k, self.points[k], self.inputs["tau"][k], 0.0) for k in range(self.count)]
         dt = float(self.dtype(STEP_DT))
         moved = np.array([_moved(self.inputs["tau"][k], a, dt) for k, a in enumerate(self.answers)], dtype=object)
-        points = self._points(self.program, self.inputs | {"tau": moved})
+        points = self._points(self.inputs | {"tau": moved})
         stepped = []
         for k, (answer, point) in enumerate(zip(self.answers, points, strict=True)):
             if answer.status < 0:
@@ -295,6 +299,19 @@ def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:
         if answer.status < 0 or not np.isfinite(answer.tolerance):
             return start
         return [a + dt * b for a, b in zip(start, answer.tau, strict=True)]
+
+
+def _same(values: dict[str, Exact], unoptimised: dict[str, Exact], bounds: dict[str, FloatArray]) -> None:
+    """AssertionError where optimisation changed an output by more than 50 digits of the unoptimised program err.
+
+    bounds: its error bounds in float64, from which those with 50 digits follow.
+    """
+    finer = mp.mpf(10) ** (2 - DIGITS) / mp.mpf(EPSILON["float64"])
+    for name, entries in values.items():
+        for x, y, bound in zip(entries, unoptimised[name], bounds[name], strict=True):
+            if mp.isfinite(x) and mp.isfinite(y) and np.isfinite(bound):
+                slack = finer * mp.mpf(float(bound)) + mp.mpf(10) ** (2 - DIGITS) * abs(x)
+                assert abs(x - y) <= slack, f"optimisation changed {name}: {mp.nstr(y, 20)} became {mp.nstr(x, 20)}"
 
 
 def _norm(values: Any) -> float:

@@ -1,0 +1,119 @@
+"""A scene's program, optimised: judged at states of its domain, and without tests of Q that have lost their purpose.
+
+A solve of Q may cancel: with psi the energy, Q^-1 psi_u^T is u. Then nothing divides by the pivots of Q any more, and
+their test for singularity may go where Q is positive definite over the domain. What parameters alone decide is still
+tested in prepare.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, lower, lower_quantities, parameter_defaults, scene_inputs
+from servogen.ir.binding import depends_on_parameters_alone, is_constant
+from servogen.ir.field import Residue, unsigned
+from servogen.ir.lower import lower_expressions
+from servogen.ir.program import Output, Program, live
+from servogen.optimise.accuracy import STATES
+from servogen.optimise.angles import snap_quarter_turns
+from servogen.optimise.fingerprint import Fingerprints
+from servogen.optimise.passes import optimise
+from servogen.optimise.search import Optimised, search
+from servogen.optimise.value_numbering import number_values
+from servogen.scene.domain import draw_states
+from servogen.scene.scene import Scene, State
+
+
+@dataclass(frozen=True)
+class SceneProgram:
+    """The program of a scene. exact: the same before optimisation, the truth of every check.
+
+    free_of_mass: quantities that need Q on paper but divide by nothing of it, and need no test that it is regular.
+    remarks: angles read as quarter turns, rewrites refused.
+    """
+
+    program: Program
+    exact: Program
+    optimised: Optimised
+    free_of_mass: frozenset[str] = frozenset()
+    remarks: tuple[str, ...] = ()
+
+
+def optimise_formulation(formulation: Formulation) -> SceneProgram:
+    """All quantities of a scene as one program; the constraint's value counts less than the system it leads to."""
+    minor = frozenset([formulation.constraint, MASS_PIVOT, MASS_SCALE])
+    return _optimise(formulation.scene, formulation.quantities, formulation.mass, lower(formulation), minor)
+
+
+def optimise_quantities(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment) -> SceneProgram:
+    """Named quantities of a scene as one program."""
+    program = lower_quantities(scene, quantities, mass)
+    return _optimise(scene, quantities, mass, program, frozenset([MASS_PIVOT, MASS_SCALE]))
+
+
+def _optimise(
+    scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, lowered: Program, minor: frozenset[str]
+) -> SceneProgram:
+    snapped, remarks = snap_quarter_turns(optimise(lowered))
+    exact = optimise(snapped)
+    needing = [q.name for q in quantities if q.needs_mass]
+    own = _own_divisors(scene) if mass.positive_definite and mass.pivots else None
+    if own is not None and needing == _free(number_values(exact), needing, own):
+        exact = _without_late_pivots(exact)
+    optimised = search(exact, judging_states(scene), minor & {o.name for o in exact.outputs})
+    free = frozenset() if own is None else frozenset(_free(optimised.program, needing, own))
+    return SceneProgram(optimised.program, exact, optimised, free, remarks + optimised.refused)
+
+
+def judging_states(scene: Scene) -> State:
+    """States of the domain at which the accuracy of rewrites is judged, with parameters and tau."""
+    states = draw_states(scene, STATES, seed=2) | {
+        name: np.array(value).reshape(1, -1) for name, value in parameter_defaults(scene).items()
+    }
+    generator = np.random.default_rng(3)
+    states.setdefault("tau", 2 * generator.random((STATES, scene.controls)) - 1)
+    return states
+
+
+def _free(program: Program, names: Sequence[str], own: frozenset[Residue]) -> list[str]:
+    """Those of the named outputs for which no division at tick is left but by divisors in `own`."""
+    early = depends_on_parameters_alone(program)
+    values = Fingerprints(program).values
+    foreign = {
+        k
+        for k, i in enumerate(program.instrs)
+        if i.op == "div"
+        and not early[i.args[1]]
+        and not is_constant(program, i.args[1])
+        and unsigned(values[i.args[1]])[0] not in own
+    }
+    return [name for name in names if not foreign & live(program, program.output(name).nodes)]
+
+
+def _own_divisors(scene: Scene) -> frozenset[Residue]:
+    """What the scene's own expressions divide by, before anything is solved."""
+    mech = scene.mechanism
+    expressions = [("Q", mech.Q), ("P", mech.P), ("G", mech.G)]
+    program = optimise(lower_expressions("own", scene_inputs(scene), expressions))
+    values = Fingerprints(program).values
+    return frozenset(unsigned(values[i.args[1]])[0] for i in program.instrs if i.op == "div")
+
+
+def _without_late_pivots(program: Program) -> Program:
+    """The program without the pivots that would be judged at each tick."""
+    early = depends_on_parameters_alone(program)
+    pivots, scales = program.output(MASS_PIVOT).nodes, program.output(MASS_SCALE).nodes
+    kept = [
+        (p, s)
+        for p, s in zip(pivots, scales, strict=True)
+        if (early[p] or is_constant(program, p)) and (early[s] or is_constant(program, s))
+    ]
+    outputs = [o for o in program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
+    if kept:
+        outputs += [
+            Output(MASS_PIVOT, len(kept), 1, tuple(p for p, _ in kept)),
+            Output(MASS_SCALE, len(kept), 1, tuple(s for _, s in kept)),
+        ]
+    return optimise(replace(program, outputs=tuple(outputs)))

@@ -1,0 +1,108 @@
+"""The search for the cheapest program: the passes in the order that works, the best program kept.
+
+A new pass is one more entry in SEARCH. passes.py simplifies before and after each.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from servogen.ir.program import Program, check_legal
+from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
+from servogen.optimise.cost import Objective, tick_operations
+from servogen.optimise.factor import factor
+from servogen.optimise.horner import horner
+from servogen.optimise.pairs import share_pairs
+from servogen.optimise.passes import optimise
+from servogen.optimise.reciprocals import share_reciprocals
+from servogen.optimise.resubstitute import resubstitute
+from servogen.optimise.value_numbering import number_values
+
+Pass = Callable[[Program, Objective], Program]
+
+SEARCH: tuple[tuple[str, Pass], ...] = (
+    ("value numbering", lambda program, _: number_values(program)),
+    ("value numbering, earliest form", lambda program, _: number_values(program, earliest=True)),
+    ("shared reciprocals", lambda program, _: share_reciprocals(program)),
+    ("Horner form", horner),
+    ("factoring", lambda program, _: factor(program)),
+    ("shared pairs", lambda program, _: share_pairs(program)),
+    ("resubstitution", resubstitute),
+)
+
+_ROUNDS = 8
+_PATIENCE = 2  # a pass that gained nothing so often in a row is left out
+_WORTHWHILE = 5e-4  # a round that gains less, relative to the cost, is the last
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one pass did: operations at tick before and after; `refused` names output entries that it would have made
+    less accurate, and that stayed as they were."""
+
+    name: str
+    before: int
+    after: int
+    refused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Optimised:
+    """The program and how it came about."""
+
+    program: Program
+    steps: tuple[Step, ...]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Remarks about rewrites the accuracy guard refused, each once."""
+        found = {f"{s.name} of {entry}" for s in self.steps for entry in s.refused}
+        reason = f"its error bound would exceed {TOLERATED} times the unoptimised one's"
+        return tuple(f"{text}, refused: {reason}" for text in sorted(found))
+
+
+def search(
+    program: Program,
+    states: Mapping[str, Any] | None = None,
+    minor: frozenset[str] = frozenset(),
+    without: frozenset[str] = frozenset(),
+) -> Optimised:
+    """The cheapest program found that computes the same outputs: the passes in turn until none gains.
+
+    states: where the accuracy is judged, name -> array (N, size); drawn at random if left out.
+    minor: outputs that count less. without: passes to leave out, by name.
+    """
+    objective = Objective(minor)
+    best = optimise(program)
+    accuracy = Accuracy.of(best, states)
+    steps: list[Step] = []
+    idle: Counter[str] = Counter()
+    for _ in range(_ROUNDS):
+        before = objective.cost(best)
+        for name, run in SEARCH:
+            if name in without or idle[name] >= _PATIENCE:
+                continue
+            cost = objective.cost(best)
+            best, step = _attempt(best, name, run, objective, accuracy)
+            idle[name] = idle[name] + 1 if objective.cost(best) == cost else 0
+            steps.append(step)
+        if objective.cost(best) > before * (1 - _WORTHWHILE):
+            break
+    return Optimised(best, tuple(steps))
+
+
+def _attempt(best: Program, name: str, run: Pass, objective: Objective, accuracy: Accuracy) -> tuple[Program, Step]:
+    """The outcome of one pass where it is cheaper and accurate enough, else the program as it was."""
+    operations = tick_operations(best)
+    found = optimise(check_legal(run(best, objective)))
+    if objective.cost(found) >= objective.cost(best):
+        return best, Step(name, operations, operations)
+    worse = accuracy.worse(found)
+    if worse:
+        found = optimise(mix(best, found, worse))
+        refused = tuple(f"{entry}[{k}]" for entry, k in worse)
+        if objective.cost(found) >= objective.cost(best) or accuracy.worse(found):
+            return best, Step(name, operations, operations, refused)
+        return found, Step(name, operations, tick_operations(found), refused)
+    return found, Step(name, operations, tick_operations(found))
