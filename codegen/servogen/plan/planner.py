@@ -1,11 +1,13 @@
 """Program -> Module: entry points, binding times, the solver's shape, names and what is skipped."""
 
+import dataclasses
 import hashlib
 from collections.abc import Sequence
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.program import Program
+from servogen.plan.mathematics import Math, pair_angles
 from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -21,7 +23,7 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
     """Every decision about the C of one scene."""
     scene = formulation.scene
     staged = stage(program)
-    cutter = _Cutter(staged, formulation.quantities)
+    cutter = _Cutter(staged, formulation.quantities, target.math)
     matrix, right = formulation.system
     constraint = formulation.constraint
     entry_points = [
@@ -37,7 +39,9 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
     control = ControlPlan(cutter.kernel(*system), (matrix, right), y, projection, cap)
     always = {"tau"} if scene.kind == "controls" else {"y"} if y == "input" else set()
     inputs = _used(scene.input_fields(), staged.tick, always)
-    solver = plan_solver(scene.rows, scene.controls, target.scalar, scene.solver)
+    solver = dataclasses.replace(
+        plan_solver(scene.rows, scene.controls, target.scalar, scene.solver), root=_root(target)
+    )
     return Module(
         scene=scene.name,
         target=target,
@@ -45,7 +49,7 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=inputs,
-        prepare=Prepare(staged.prepare, staged.prepare_guards),
+        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=tuple(entry_points),
         control=control,
@@ -61,6 +65,7 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
     planned = plan_solver(m, l, target.scalar, solver)
     name = f"pinv_{m}x{l}"
     digest = hashlib.sha256(repr(planned).encode()).hexdigest()
+    planned = dataclasses.replace(planned, root=_root(target))
     return Module(name, target, digest, (), (), (), Prepare(nothing), (), (), None, planned, 0.0)
 
 
@@ -69,7 +74,7 @@ def plan_functions(
 ) -> Module:
     """One entry point that computes all quantities together: the plant of a simulation."""
     staged = stage(program)
-    cutter = _Cutter(staged, quantities)
+    cutter = _Cutter(staged, quantities, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
     fields = scene.input_fields() if scene.kind == "controls" else (*scene.input_fields(), tau)
@@ -80,7 +85,7 @@ def plan_functions(
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=_used(fields, staged.tick, {"q", "u", "tau"}),
-        prepare=Prepare(staged.prepare, staged.prepare_guards),
+        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),
         control=None,
@@ -89,8 +94,13 @@ def plan_functions(
     )
 
 
+def _root(target: Target) -> str:
+    """The square root that the solver calls: the package's own, or ""."""
+    return f"{target.prefix}_sqrt" if target.math == "own" else ""
+
+
 def scene_hash(scene: Scene, program: Program) -> str:
-    """SHA-256 of everything that decides the package but the scalar and the prefix."""
+    """SHA-256 of everything that decides the package but the target."""
     assert scene.parameters is not None
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
@@ -100,8 +110,9 @@ def scene_hash(scene: Scene, program: Program) -> str:
 class _Cutter:
     """Cuts kernels from the tick program, each set of outputs once."""
 
-    def __init__(self, staged: Staged, quantities: Sequence[Quantity]) -> None:
+    def __init__(self, staged: Staged, quantities: Sequence[Quantity], math: Math) -> None:
         self._staged = staged
+        self._math: Math = math
         self._quantities = {q.name: q for q in quantities}
         self._kernels: dict[str, Kernel] = {}
 
@@ -114,7 +125,8 @@ class _Cutter:
             results = tuple(
                 Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula) for q in quantities
             )
-            self._kernels[label] = Kernel(label, cut(self._staged.tick, label, outputs), results, guarded)
+            program = cut(self._staged.tick, label, outputs)
+            self._kernels[label] = Kernel(label, program, results, guarded, pair_angles(program, self._math))
         return self._kernels[label]
 
     def kernels(self) -> tuple[Kernel, ...]:

@@ -13,6 +13,7 @@ from servogen.plan.module import Module
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import reads, statements
 from servogen.render.literals import literal
+from servogen.render.mathematics import math_context
 from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
@@ -81,7 +82,9 @@ def _context(module: Module) -> dict[str, Any]:
         "prepare_cost": cost_text(module.prepare.program),
         "solver_cost": _solver_cost(module),
         "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
-        "statements": partial(statements, scalar=scalar),
+        "statements": partial(statements, scalar=scalar, own=module.target.prefix if module.own_functions else ""),
+        "own_functions": module.own_functions,
+        "mt": math_context(scalar) if module.own_functions else None,
         "reads": reads,
         "initialiser": partial(_initialiser, scalar=scalar),
     }
@@ -117,6 +120,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
         "scene_hash": module.scene_hash,
         "scalar": module.target.scalar,
         "prefix": module.target.prefix,
+        "math": module.target.math,
         "entry_points": _entry_points(module, costs),
     }
     if module.solver is not None:
