@@ -101,13 +101,12 @@ def math_context(scalar: str) -> dict[str, Any]:
     words = two_over_pi_words(scalar)
     return {
         "bits": 64 if scalar == "float64" else 32,
-        "sine": [lit(c) for c in SINE[scalar]],
+        "sine": [lit(-c) for c in SINE[scalar]],  # of r - sin(r)
         "cosine": [lit(c) for c in COSINE[scalar]],
         "short": [lit(c) for c in pi_parts(scalar, 2 if scalar == "float64" else 3)],
         "long": [lit(c) for c in pi_parts(scalar, 4)],
         "two_over_pi": lit(1 / _half_pi()),
         "round": lit(1.5 * 2.0 ** (shape.digits - 1)),
-        "tiny": _hex(2.0**-27 if scalar == "float64" else 2.0**-13, scalar),
         "quarter": _hex(nearest(_half_pi() / 2, scalar), scalar),
         "near": _hex(NEAR[scalar], scalar),
         "near_text": f"2^{int(mp.log(NEAR[scalar], 2))}",
