@@ -1,5 +1,4 @@
-"""The templates of math/ alone, as a C file with functions that take whole arrays, and a program that walks all
-float32 arguments."""
+"""The templates of math/ alone: a C file with functions that take whole arrays, compiled and called."""
 
 import ctypes as ct
 from pathlib import Path
@@ -14,6 +13,8 @@ from .c import run
 FUNCTIONS = ("sqrt", "reduce", "sin", "cos", "sincos")
 
 ARRAYS = """
+int keep(void);
+int keep(void) {{ return own_largest(NULL, 0) == 0; }}
 void sin_array(long n, const {real} *x, {real} *y);
 void cos_array(long n, const {real} *x, {real} *y);
 void sqrt_array(long n, const {real} *x, {real} *y);
@@ -45,25 +46,23 @@ def source(scalar, functions=FUNCTIONS):
     }
     head = "#include <float.h>\n#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n"
     text = environment().get_template("solver/bits.c.j2").render(context)
-    return head + text.replace("static uint", "uint" if False else "static uint")
+    return head + text
 
 
-def write(folder, scalar, extra=ARRAYS):
-    """The C file with array functions (or `extra`) behind it."""
+def write(folder, scalar, edit=lambda text: text):
+    """The C file with the array functions behind it; `edit` may plant a fault."""
     real = "double" if scalar == "float64" else "float"
     path = Path(folder) / f"own_{scalar}.c"
-    unused = "(void)own_largest;"
-    keep = f"int keep(void);\nint keep(void) {{ {unused} return 0; }}\n"
-    path.write_text(source(scalar) + keep + (extra.format(real=real) if extra is ARRAYS else extra))
+    path.write_text(edit(source(scalar)) + ARRAYS.format(real=real))
     return path
 
 
 class Compiled:
     """sin, cos, sincos and sqrt of arrays."""
 
-    def __init__(self, folder, scalar, compiler="gcc", flags=("-O2",)):
+    def __init__(self, folder, scalar, compiler="gcc", flags=("-O2",), edit=lambda text: text):
         self.dtype = np.dtype(scalar)
-        c = write(folder, scalar)
+        c = write(folder, scalar, edit)
         name = "_".join([compiler, *flags]).replace("-", "").replace("=", "")
         library = c.with_name(f"{c.stem}_{name}.so")
         run([compiler, "-std=c99", "-ffp-contract=off", *flags, "-fPIC", "-shared", c, "-o", library, "-lm"])
