@@ -4,6 +4,7 @@ import sys
 
 import click
 
+from servogen.cli.certify import certify_command
 from servogen.cli.check import check_command
 from servogen.cli.console import WRONG_INPUT, err, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
@@ -23,7 +24,7 @@ def cli() -> None:
     """
 
 
-for command in (list_scenes, generate, solver, check_command, stress_command):
+for command in (list_scenes, generate, solver, check_command, certify_command, stress_command):
     cli.add_command(command)
 
 

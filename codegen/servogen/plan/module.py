@@ -124,7 +124,7 @@ class Module:
     @property
     def own_functions(self) -> tuple[str, ...]:
         """What the package brings itself of sqrt, reduce, sin, cos, sincos."""
-        code = [(c.program, c.pairs) for c in (self.prepare, *self.kernels)]
+        code = [(self.prepare.program, self.prepare.pairs), *((k.program, k.pairs) for k in self.kernels)]
         return own_functions(code, self.target.math, self.solver is not None)
 
     def context(self) -> dict[str, Any]:
