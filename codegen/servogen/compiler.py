@@ -9,6 +9,7 @@ from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
 from servogen.optimise.for_scene import optimise_formulation, optimise_quantities
 from servogen.package import Package, write
+from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.render.render import render
@@ -18,15 +19,21 @@ from servogen.scene.solver import EPSILON, Scalar, Solver
 
 
 def build(
-    scene: Scene, out: str | Path | None = None, scalar: Scalar = "float64", prefix: str | None = None
+    scene: Scene,
+    out: str | Path | None = None,
+    scalar: Scalar = "float64",
+    prefix: str | None = None,
+    *,
+    math: Math = "own",
 ) -> Package:
     """Generate the C of a scene.
 
     out: the package's folder; None makes a temporary one. scalar: "float64" or "float32".
     prefix: of all C names; default the scene's name, and name_f32 for float32.
+    math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
     Raises SceneError for anything wrong with the scene.
     """
-    module = compile_scene(scene, target_for(scene.name, scalar, prefix))
+    module = compile_scene(scene, target_for(scene.name, scalar, prefix, math))
     return write(render(module), out, module, scene)
 
 
@@ -44,14 +51,21 @@ def build_solver(
     scalar: Scalar = "float64",
     solver: Solver | None = None,
     prefix: str | None = None,
+    *,
+    math: Math = "own",
 ) -> Package:
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12."""
-    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix), solver or Solver())
+    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver or Solver())
     return write(render(module), out, module, None)
 
 
 def build_plant(
-    scene: Scene, out: str | Path | None = None, scalar: Scalar = "float64", prefix: str | None = None
+    scene: Scene,
+    out: str | Path | None = None,
+    scalar: Scalar = "float64",
+    prefix: str | None = None,
+    *,
+    math: Math = "own",
 ) -> Package:
     """Generate the C of the mechanism itself, q' and u' by Eqs. (1)-(2): `<prefix>_q_dot_u_dot`.
 
@@ -59,7 +73,7 @@ def build_plant(
     Raises SceneError for a singular Q.
     """
     quantities, mass = derive_plant(scene)
-    module = compile_functions(scene, quantities, mass, target_for(f"{scene.name}_plant", scalar, prefix))
+    module = compile_functions(scene, quantities, mass, target_for(f"{scene.name}_plant", scalar, prefix, math))
     return write(render(module), out, module, scene)
 
 
@@ -69,9 +83,11 @@ def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTr
     return plan_functions(scene, quantities, mass, program, target)
 
 
-def target_for(name: str, scalar: Scalar, prefix: str | None) -> Target:
-    """The scalar and the prefix, checked."""
+def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own") -> Target:
+    """The scalar, the prefix and the source of sin, cos and sqrt, checked."""
+    if math not in ("own", "libm"):
+        raise SceneError(f"math {math!r}: choose 'own' or 'libm'")
     if scalar not in EPSILON:
         raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
     default = name if scalar == "float64" else f"{name}_f32"
-    return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"))
+    return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"), math)

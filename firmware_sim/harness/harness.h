@@ -44,6 +44,7 @@ typedef struct {
     const int8_t *status; /* expected, one per vector; NULL: any that is not negative */
     const int8_t *rank;   /* expected, one per vector; NULL: not compared */
     int (*run)(uint32_t vector, real *const out[], harness_info *info); /* info NULL: so for the entry point, too */
+    void (*repeat)(uint32_t vector, real *const out[], uint32_t times); /* the calls alone, with an info */
 } harness_entry;
 
 typedef struct {

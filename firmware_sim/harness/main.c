@@ -104,6 +104,41 @@ static void compare(const harness_output *output, const real *value, uint32_t ve
     }
 }
 
+#ifdef SERVOGEN_MEASURE
+#define TIMES 100u /* calls of one vector: the counter's tick is many instructions long */
+
+/* Instructions of one call, its arguments and its place in a loop included: the worst and the mean over all vectors. */
+static void measure(const harness_entry *entry)
+{
+    real *out[HARNESS_MAX_OUTPUTS] = {0};
+    uint32_t worst = 0, at = 0, missing = 0;
+    uint64_t sum = 0;
+    for (uint32_t j = 0; j < entry->outputs; ++j) {
+        out[j] = entry->output[j].exact;
+    }
+    for (uint32_t k = 0; k < entry->vectors; ++k) {
+        hal_count_start();
+        entry->repeat(k, out, TIMES);
+        const uint32_t count = hal_count_stop();
+        missing += count == 0;
+        sum += count;
+        if (count > worst) {
+            worst = count;
+            at = k;
+        }
+    }
+    print_text("cost entry=");
+    print_text(entry->name);
+    print_count(" vectors=", entry->vectors);
+    print_count(" missing=", missing);
+    print_count(" worst=", (worst + TIMES - 1) / TIMES);
+    print_count(" vector=", at);
+    print_count(" mean=", entry->vectors != 0 ? (uint32_t)(sum / TIMES / entry->vectors) : 0);
+    print_text("\n");
+    print_flush();
+}
+#endif
+
 #ifdef SERVOGEN_DUMP
 static void dump(const harness_entry *entry, uint32_t j, const real *value, uint32_t vector, int status)
 {
@@ -243,6 +278,9 @@ int main(void)
     int good = prepared >= 0 && table->entries > 0;
     for (uint32_t i = 0; i < table->entries && prepared >= 0; ++i) {
         good &= check_entry(&table->entry[i]);
+#ifdef SERVOGEN_MEASURE
+        measure(&table->entry[i]);
+#endif
     }
     print_number("verdict pass=", good);
     print_text("\n");

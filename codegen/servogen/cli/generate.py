@@ -9,6 +9,7 @@ from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_solver
 from servogen.package import Package
 from servogen.plan.module import mix_of
+from servogen.plan.mathematics import Math
 from servogen.scene.loading import builtin_names, builtin_summary, load_scene
 from servogen.scene.solver import EPSILON, Scalar
 
@@ -17,6 +18,13 @@ scalar_option = click.option(
 )
 out_option = click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the files; made if need be."
+)
+math_option = click.option(
+    "--math",
+    type=click.Choice(["own", "libm"]),
+    default="own",
+    show_default=True,
+    help="Where sin, cos and sqrt come from: the package itself, the same bits everywhere, or <math.h>.",
 )
 prefix_option = click.option("--prefix", help="Prefix of all C names; default the scene's name, and _f32 for float32.")
 
@@ -40,13 +48,14 @@ def list_scenes(as_json: bool) -> None:
 @click.argument("scene")
 @scalar_option
 @prefix_option
+@math_option
 @out_option
 @json_option
-def generate(scene: str, scalar: Scalar, prefix: str | None, out: Path | None, as_json: bool) -> None:
+def generate(scene: str, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
     loaded = load_scene(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
-    _report(build(loaded, folder, scalar, prefix), as_json)
+    _report(build(loaded, folder, scalar, prefix, math=math), as_json)
 
 
 @click.command()
@@ -54,12 +63,13 @@ def generate(scene: str, scalar: Scalar, prefix: str | None, out: Path | None, a
 @click.argument("l", type=click.IntRange(1, 12))
 @scalar_option
 @prefix_option
+@math_option
 @out_option
 @json_option
-def solver(m: int, l: int, scalar: Scalar, prefix: str | None, out: Path | None, as_json: bool) -> None:
+def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report(build_solver(m, l, folder, scalar, prefix=prefix), as_json)
+    _report(build_solver(m, l, folder, scalar, prefix=prefix, math=math), as_json)
 
 
 def _report(package: Package, as_json: bool) -> None:

@@ -6,16 +6,18 @@ from typing import Any
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.plan.chunks import Chunks
+from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
 from servogen.scene.solver import Scalar
 
 
 @dataclass(frozen=True)
 class Target:
-    """The number type of the C, and the prefix of its names."""
+    """The number type of the C, the prefix of its names, and where its sin, cos and sqrt come from."""
 
     scalar: Scalar
     prefix: str
+    math: Math = "own"
 
     @property
     def real(self) -> str:
@@ -53,7 +55,7 @@ class Kernel:
     """Straight-line code: (model, inputs) -> results, cut from the scene's one program.
 
     `guards` is the number of pivots of Q that it hands to its caller for the test of SINGULAR_MASS. `chunks` are the
-    pieces of a kernel too long for one function.
+    pieces of a kernel too long for one function; `pairs` the sines and cosines that one call computes.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Kernel:
     results: tuple[Result, ...]
     guards: int = 0
     chunks: Chunks | None = None
+    pairs: Pairs = ()
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,7 @@ class Prepare:
 
     program: Program
     guards: int = 0
+    pairs: Pairs = ()
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,12 @@ class Module:
         programs: list[Program] = [self.prepare.program, *(k.program for k in self.kernels)]
         called = any(i.op in OPS and OPS[i.op].needs_libm for p in programs for i in p.instrs)
         return called or self.solver is not None
+
+    @property
+    def own_functions(self) -> tuple[str, ...]:
+        """What the package brings itself of sqrt, reduce, sin, cos, sincos."""
+        code = [(self.prepare.program, self.prepare.pairs), *((k.program, k.pairs) for k in self.kernels)]
+        return own_functions(code, self.target.math, self.solver is not None)
 
     def context(self) -> dict[str, Any]:
         """What the templates call by name."""

@@ -1,5 +1,6 @@
 """Program -> Module: entry points, binding times, the solver's shape, names and what is skipped."""
 
+import dataclasses
 import hashlib
 from collections.abc import Sequence
 
@@ -9,6 +10,7 @@ from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
 from servogen.optimise.for_scene import SceneProgram
 from servogen.plan.chunks import split
+from servogen.plan.mathematics import Math, pair_angles
 from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -24,7 +26,7 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     """Every decision about the C of one scene."""
     scene, program = formulation.scene, optimised.program
     staged = stage(program)
-    cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass)
+    cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     matrix, right = formulation.system
     constraint = formulation.constraint
     entry_points = [
@@ -40,7 +42,9 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     control = ControlPlan(cutter.kernel(*system), (matrix, right), y, projection, cap)
     always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
-    solver = plan_solver(scene.rows, scene.controls, target.scalar, scene.solver)
+    solver = dataclasses.replace(
+        plan_solver(scene.rows, scene.controls, target.scalar, scene.solver), root=_root(target)
+    )
     return Module(
         scene=scene.name,
         target=target,
@@ -48,7 +52,7 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=inputs,
-        prepare=Prepare(staged.prepare, staged.prepare_guards),
+        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=tuple(entry_points),
         control=control,
@@ -64,6 +68,7 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
     planned = plan_solver(m, l, target.scalar, solver)
     name = f"pinv_{m}x{l}"
     digest = hashlib.sha256(repr(planned).encode()).hexdigest()
+    planned = dataclasses.replace(planned, root=_root(target))
     return Module(name, target, digest, (), (), (), Prepare(nothing), (), (), None, planned, 0.0)
 
 
@@ -73,7 +78,7 @@ def plan_functions(
     """One entry point that computes all quantities together: the plant of a simulation."""
     program = optimised.program
     staged = stage(program)
-    cutter = _Cutter(staged, quantities, optimised.free_of_mass)
+    cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
     fields = scene.input_fields() if scene.kind == "controls" else (*scene.input_fields(), tau)
@@ -84,7 +89,7 @@ def plan_functions(
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=_used(fields, staged.tick, {"q", "u", "tau"}),
-        prepare=Prepare(staged.prepare, staged.prepare_guards),
+        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),
         control=None,
@@ -93,8 +98,13 @@ def plan_functions(
     )
 
 
+def _root(target: Target) -> str:
+    """The square root that the solver calls: the package's own, or ""."""
+    return f"{target.prefix}_sqrt" if target.math == "own" else ""
+
+
 def scene_hash(scene: Scene, program: Program) -> str:
-    """SHA-256 of everything that decides the package but the scalar and the prefix."""
+    """SHA-256 of everything that decides the package but the target."""
     assert scene.parameters is not None
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
@@ -104,9 +114,12 @@ def scene_hash(scene: Scene, program: Program) -> str:
 class _Cutter:
     """Cuts kernels from the tick program, each set of outputs once; those free of Q need no test of its pivots."""
 
-    def __init__(self, staged: Staged, quantities: Sequence[Quantity], free_of_mass: frozenset[str]) -> None:
+    def __init__(
+        self, staged: Staged, quantities: Sequence[Quantity], free_of_mass: frozenset[str], math: Math
+    ) -> None:
         self._free_of_mass = free_of_mass
         self._staged = staged
+        self._math: Math = math
         self._quantities = {q.name: q for q in quantities}
         self._kernels: dict[str, Kernel] = {}
 
@@ -121,7 +134,9 @@ class _Cutter:
                 Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula) for q in quantities
             )
             program = cut(self._staged.tick, label, outputs)
-            self._kernels[label] = Kernel(label, program, results, guarded, split(program))
+            chunks = split(program)
+            pairs = () if chunks else pair_angles(program, self._math)  # a pair cannot cross from piece to piece
+            self._kernels[label] = Kernel(label, program, results, guarded, chunks, pairs)
         return self._kernels[label]
 
     def kernels(self) -> tuple[Kernel, ...]:

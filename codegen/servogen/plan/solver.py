@@ -111,6 +111,7 @@ class SolverPlan:
     zeta_limit: float  # beyond it zeta^2 is not needed, and may overflow
     consistency: float  # relative residual of a row that counts as met
     row_range: RowRange | None  # kind "row" only; None where tolerances leave no room for the short form
+    root: str = ""  # the square root to call; "": that of <math.h>
 
     @property
     def wide(self) -> bool:
@@ -128,7 +129,7 @@ class SolverPlan:
 
     @property
     def sqrt(self) -> str:
-        return "sqrt" if self.scalar == "float64" else "sqrtf"
+        return self.root or ("sqrt" if self.scalar == "float64" else "sqrtf")
 
     @property
     def path(self) -> Path:
@@ -145,7 +146,7 @@ class SolverPlan:
 
     def to_json(self) -> dict[str, Any]:
         """For the manifest: the shape, the ladder and the tolerances."""
-        shown = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "row_range"}
+        shown = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("row_range", "root")}
         return shown | {"atol": list(self.atol), "ladder": [self.path.name]}
 
 

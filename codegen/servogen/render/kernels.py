@@ -6,6 +6,8 @@ from fractions import Fraction
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Program
 from servogen.plan.chunks import Chunks
+from servogen.plan.mathematics import OWN_OPS, Pairs
+from servogen.plan.module import Kernel, Prepare
 from servogen.render.literals import literal
 
 _STRUCT = {"model": "model", "input": "in", "parameter": "params"}
@@ -19,16 +21,22 @@ class Piece:
     reads: frozenset[str]
 
 
-def statements(program: Program, scalar: str) -> tuple[list[str], dict[str, list[str]]]:
-    """(declarations of temporaries t0.. in order, output name -> its entries as C expressions)."""
-    printer = _Printer(program, scalar)
+def statements(code: Kernel | Prepare, scalar: str, own: str = "") -> tuple[list[str], dict[str, list[str]]]:
+    """(declarations of temporaries t0.. in order, output name -> its entries as C expressions).
+
+    own: the prefix of the package's own sin, cos and sqrt; "": those of <math.h>.
+    """
+    program = code.program
+    printer = _Printer(program, scalar, own, code.pairs)
     lines = [line for k in range(len(program.instrs)) if (line := printer.line(k))]
     return lines, {o.name: [printer.text[n] for n in o.nodes] for o in program.outputs}
 
 
-def pieces(program: Program, chunks: Chunks, scalar: str) -> tuple[list[Piece], dict[str, list[str]]]:
+def pieces(
+    program: Program, chunks: Chunks, scalar: str, own: str = ""
+) -> tuple[list[Piece], dict[str, list[str]]]:
     """(statements of each piece, which load from and store to live[], output name -> its entries at the end)."""
-    printer = _Printer(program, scalar)
+    printer = _Printer(program, scalar, own, ())
     found = []
     for chunk in chunks.pieces:
         lines = [f"const {printer.real} {printer.text[k]} = live[{slot}];" for k, slot in chunk.loads]
@@ -50,31 +58,39 @@ def reads(program: Program, kind: str) -> bool:
 class _Printer:
     """Instructions as C, in order; `text` is what stands for each."""
 
-    def __init__(self, program: Program, scalar: str) -> None:
-        self.program, self.scalar = program, scalar
+    def __init__(self, program: Program, scalar: str, own: str, pairs: Pairs) -> None:
+        self.program, self.scalar, self.own = program, scalar, own
         self.real, self.suffix = ("double", "") if scalar == "float64" else ("float", "f")
         self.sizes = {i.name: (_STRUCT[i.kind], i.size) for i in program.inputs}
+        self.partner = {a: b for s, c in pairs for a, b in ((s, c), (c, s))}
         self.text: list[str] = []
         self.count = 0
 
     def line(self, k: int) -> str:
         """The declaration of instruction k; empty for what is written where it is used."""
         instr = self.program.instrs[k]
-        if (written := self._written(instr)) is not None:
+        if (written := self._written(k, instr)) is not None:
             self.text.append(written)
             return ""
-        self.text.append(f"t{self.count}")
+        name = f"t{self.count}"
         self.count += 1
         operands = [self.text[a] for a in instr.args]
-        value = OPS[instr.op].c.format(*operands, f=self.suffix, real=self.real)
-        return f"const {self.real} {self.text[k]} = {value};"
+        if k in self.partner:
+            self.text.append(f"{name}.{instr.op}")
+            return f"const {self.own}_pair {name} = {self.own}_sincos({operands[0]});"
+        self.text.append(name)
+        if self.own and instr.op in OWN_OPS:
+            return f"const {self.real} {name} = {self.own}_{instr.op}({operands[0]});"
+        return f"const {self.real} {name} = {OPS[instr.op].c.format(*operands, f=self.suffix, real=self.real)};"
 
-    def _written(self, instr: Instr) -> str | None:
+    def _written(self, k: int, instr: Instr) -> str | None:
         if isinstance(instr.const, Fraction):
             return literal(instr.const, self.scalar)
         if instr.const is not None:
             struct, size = self.sizes[instr.const[0]]
             return f"{struct}->{instr.const[0]}" + (f"[{instr.const[1]}]" if size > 1 else "")
+        if k in self.partner and self.partner[k] < k:  # the pair is there already
+            return f"{self.text[self.partner[k]].partition('.')[0]}.{instr.op}"
         return _negated(self.text[instr.args[0]]) if instr.op == "neg" else None
 
     def expression(self, k: int) -> str:

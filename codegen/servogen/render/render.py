@@ -13,6 +13,7 @@ from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
+from servogen.render.mathematics import math_context
 from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
@@ -62,6 +63,7 @@ def render(module: Module) -> tuple[SourceFile, ...]:
 def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
+    own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
         numbers = solver_context(module.solver, module.target.prefix, lit)
@@ -77,9 +79,11 @@ def _context(module: Module) -> dict[str, Any]:
         "prepare_cost": cost_of(module.prepare.program.operations()),
         "solver_cost": _solver_cost(module),
         "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
-        "statements": partial(statements, scalar=scalar),
-        "pieces": partial(pieces, scalar=scalar),
+        "statements": partial(statements, scalar=scalar, own=own),
+        "pieces": partial(pieces, scalar=scalar, own=own),
         "pieces_anywhere": any(k.chunks for k in kernels),
+        "own_functions": module.own_functions,
+        "mt": math_context(scalar) if module.own_functions else None,
         "reads": reads,
         "initialiser": partial(_initialiser, scalar=scalar),
     }
@@ -124,6 +128,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
         "scene_hash": module.scene_hash,
         "scalar": module.target.scalar,
         "prefix": module.target.prefix,
+        "math": module.target.math,
         "entry_points": _entry_points(module, costs),
     }
     if module.solver is not None:

@@ -30,6 +30,13 @@ def load_scene(spec: str) -> Scene:
     return _load(spec)[1]
 
 
+def scene_folder(spec: str) -> Path:
+    """The folder of the file in which the scene that `spec` names is written."""
+    file = _load(spec)[0].__file__
+    assert file is not None
+    return Path(file).parent
+
+
 def load_simulation(spec: str) -> tuple[Scene, Simulation]:
     """The scene that `spec` names, and how its file wants it simulated.
 

@@ -16,7 +16,7 @@ from servogen.scene.solver import EPSILON, Scalar
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
 from servogen.verify import exact
-from servogen.verify.harness import HarnessResult, OutputResult, require_target, run_harness
+from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.tools import ToolMissing
 from servogen.verify.truth import BAR, Truth, states_to_check
 from servogen.verify.vectors import VectorSet, ulp
@@ -114,14 +114,16 @@ class _Case:
 def check(
     scenes: Sequence[Scene],
     target: str = "host",
-    states: int = STATES,
+    states: int | None = None,
     seed: int = 0,
     progress: Progress = lambda done, total, text: None,
 ) -> CheckReport:
     """Cross-check scenes in both scalars: on the host under gcc and clang, or on a board against the host.
 
+    states: drawn a scene; None: STATES, or fewer where the board is small.
     Raises ToolMissing where the target has no compiler or emulator here.
     """
+    states = default_states(target, STATES) if states is None else states
     compilers, skipped = _host_compilers()
     if target != "host":
         require_target(target)

@@ -72,12 +72,22 @@ class Dump:
     values: NDArray[np.floating[Any]]
 
 
+@dataclass(frozen=True)
+class Cost:
+    """Instructions of one call of an entry point, info included: over `vectors` vectors, the worst of them `vector`."""
+
+    worst: int
+    mean: int
+    vector: int
+    vectors: int
+
+
 @dataclass(frozen=True, eq=False)
 class HarnessResult:
     """One package on one target. preset: the build that was run (gcc, clang, asan, or the board's name).
 
     problems: everything wrong, in words; empty if passed. dumps: keyed by (entry, output), if they were asked for.
-    image: the executable.
+    costs: by entry, if they were asked for and the target counts. image: the executable.
     """
 
     prefix: str
@@ -89,6 +99,7 @@ class HarnessResult:
     log: str
     image: Path
     dumps: Mapping[tuple[str, str], Dump] = field(default_factory=dict)
+    costs: Mapping[str, "Cost"] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -108,6 +119,11 @@ def firmware_sim() -> Path:
 def targets() -> list[str]:
     """The names of all targets: host, and the boards."""
     return sorted(path.parent.name for path in firmware_sim().glob("targets/*/target.json"))
+
+
+def default_states(target: str, otherwise: int) -> int:
+    """States to draw for a target: its own number where the board is small or slow."""
+    return int(_describe(target).get("states", otherwise))
 
 
 def require_target(target: str = "host", compiler: Compiler = "gcc") -> None:
@@ -141,11 +157,13 @@ def run_harness(
     optimisation: str = "-O2",
     timeout: float = 600.0,
     progress: Progress | None = None,
+    measure: bool = False,
 ) -> list[HarnessResult]:
     """Builds every package with its vectors, runs it, and reads the result; one result per package, in order.
 
     vectors: by prefix. compiler: on the host only. build_dir: made if need be, and reused. dump: also bring back every
     answer. timeout: seconds that one package's run may take. progress: called with a line of text at each step.
+    measure: also count the instructions of every entry point, on a board.
 
     Raises:
         ToolMissing: naming the tool and the command that installs it.
@@ -161,7 +179,7 @@ def run_harness(
     for prefix in manifests:
         _write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
     say(f"{target}: configuring")
-    _configure(packages, _preset(target, compiler), build_dir, dump, optimisation)
+    _configure(packages, _preset(target, compiler), build_dir, dump, optimisation, measure)
     say(f"{target}: building {len(manifests)} images")
     _run([find_tool("cmake", "cmake"), "--build", build_dir])
     commands = _test_commands(build_dir)
@@ -205,7 +223,7 @@ def read_log(
     if problems and (complaint := _complaint(log, exit_code)):
         problems.append(f"the run ended with exit code {exit_code}: {complaint}")
     return HarnessResult(
-        vectors.prefix, target, preset, tuple(outputs), tuple(problems), exit_code, log, image, _dumps(lines)
+        vectors.prefix, target, preset, tuple(outputs), tuple(problems), exit_code, log, image, _dumps(lines), _costs(lines)
     )
 
 
@@ -258,7 +276,9 @@ def _check_packages(
             )
 
 
-def _configure(packages: list[Path], preset: str, build_dir: Path, dump: bool, optimisation: str) -> None:
+def _configure(
+    packages: list[Path], preset: str, build_dir: Path, dump: bool, optimisation: str, measure: bool
+) -> None:
     _run(
         [
             find_tool("cmake", "cmake"),
@@ -269,6 +289,7 @@ def _configure(packages: list[Path], preset: str, build_dir: Path, dump: bool, o
             f"-DSERVOGEN_PACKAGES={';'.join(p.resolve().as_posix() for p in packages)}",
             f"-DSERVOGEN_VECTORS={(build_dir / 'vectors').as_posix()}",
             f"-DSERVOGEN_DUMP={'ON' if dump else 'OFF'}",
+            f"-DSERVOGEN_MEASURE={'ON' if measure else 'OFF'}",
             f"-DSERVOGEN_OPTIMISATION={optimisation}",
             f"-DCMAKE_MAKE_PROGRAM={find_tool('ninja', 'ninja-build').as_posix()}",
         ],
@@ -400,6 +421,12 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
         key: Dump(np.array([status for status, _ in found]), np.stack([values for _, values in found]))
         for key, found in rows.items()
     }
+
+
+def _costs(lines: list[dict[str, str]]) -> dict[str, Cost]:
+    """All `cost` lines whose every vector was counted."""
+    found = [words for words in lines if words[""] == "cost" and words["missing"] == "0"]
+    return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors"))) for w in found}
 
 
 def _complaint(log: str, exit_code: int) -> str:

@@ -1,4 +1,4 @@
-/* From reset to main: floating-point unit on, .data copied, .bss cleared. */
+/* From reset to main: floating-point unit on where there is one, .data copied, .bss cleared. */
 #include <stdint.h>
 
 #include "hal.h"
@@ -13,8 +13,10 @@ static void fault_handler(void);
 
 void reset_handler(void)
 {
+#ifdef __ARM_FP
     CPACR |= 0xFu << 20; /* full access to CP10 and CP11, before any floating-point instruction */
     __asm volatile("dsb\n isb" ::: "memory");
+#endif
     for (uint32_t *to = data_start, *from = data_load; to < data_end;) {
         *to++ = *from++;
     }
