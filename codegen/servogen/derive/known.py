@@ -5,7 +5,7 @@ from typing import Any
 
 import casadi as ca
 
-from servogen.derive.rates import rate
+from servogen.derive.rates import moving_symbols, rate
 from servogen.scene.known import Known
 from servogen.scene.scene import Scene
 
@@ -63,6 +63,7 @@ def cut(scene: Scene, expression: Any) -> tuple[Any, list[Cut]]:
     known = scene.mechanism.known
     if not known:
         return expression, []
+    moving = moving_symbols(scene)
     cuts: list[Cut] = []
     rebuilt: dict[int, Any] = {}
     waiting = [expression[k] for k in range(expression.size1())]
@@ -72,11 +73,11 @@ def cut(scene: Scene, expression: Any) -> tuple[Any, list[Cut]]:
         if key in rebuilt:
             waiting.pop()
             continue
-        of_q, of_u = known.of_q(node), known.of_u(node)
-        if of_q is not None or of_u is not None:
-            entry, row = of_q or of_u or (None, 0)
-            cuts.append(Cut(node, ca.SX.sym("p"), entry, row, of_q is None))
-            rebuilt[key] = cuts[-1].symbol
+        for found, is_rate in ((known.of_q(node), False), (known.of_u(node), True)):
+            if found is not None and key not in rebuilt and not ca.depends_on(found[0].still, moving):
+                cuts.append(Cut(node, ca.SX.sym("p"), *found, is_rate))
+                rebuilt[key] = cuts[-1].symbol
+        if key in rebuilt:
             continue
         parts = [node.dep(k) for k in range(node.n_dep())]
         missing = [part for part in parts if part.__hash__() not in rebuilt]

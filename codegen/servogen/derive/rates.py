@@ -39,3 +39,11 @@ def rate(
     symbols = ca.vertcat(*(symbol for symbol, _ in moving))
     seed = ca.vertcat(*(derivative for _, derivative in moving))
     return ca.jtimes(expression, symbols, seed)
+
+
+def moving_symbols(scene: Scene) -> Any:
+    """A column of every symbol with a rate: q, u, t and the references of order 1 or 2."""
+    mech = scene.mechanism
+    assert scene.references is not None
+    references = [f.symbol for chain in chains(scene.references) if chain.order > 0 for f in chain.chain]
+    return ca.vertcat(mech.q, mech.u, *([] if mech.t is None else [mech.t]), *references)

@@ -11,12 +11,14 @@ class Known:
     """A column p' = factor J u with p'' = factor J u' + acceleration, all SX.
 
     factor: k x w of q. J: w x n_u of q. rate: k, p'. acceleration: k, p'' at u' = 0.
+    still: what the four take to be constant (references, say); the entry does not hold where it moves.
     """
 
     factor: Any
     J: Any
     rate: Any
     acceleration: Any
+    still: Any
 
 
 class KnownRates:
@@ -30,10 +32,10 @@ class KnownRates:
         self._of_q: dict[int, tuple[Any, Known, int]] = {}
         self._of_u: dict[int, tuple[Any, Known, int]] = {}
 
-    def add(self, factor: Any, J: Any, rate: Any, acceleration: Any, value: Any = None) -> None:
+    def add(self, factor: Any, J: Any, rate: Any, acceleration: Any, value: Any = None, still: Any = None) -> None:
         """Make p' = rate known, and p = value if given (a function of q); see Known."""
         rate = ca.densify(rate)
-        known = Known(factor, J, rate, ca.densify(acceleration))
+        known = Known(factor, J, rate, ca.densify(acceleration), ca.SX() if still is None else still)
         _enter(self._of_u, rate, known)
         if value is not None:
             _enter(self._of_q, ca.densify(value), known)

@@ -61,11 +61,16 @@ def fixed_base(gravity: Vec) -> Base:
 def floating_base(q: Any, u: Any, gravity: Vec) -> Base:
     """q: 7, position (m, in the world) and unit quaternion (w, x, y, z), body to world. u: 6, linear (m/s) and angular
     velocity (rad/s), both in the base's own axes."""
-    return Base(True, unpack(q[:3]), quaternion_rotation(q[3:]), unpack(u[:3]), unpack(u[3:]), gravity)
+    return Base(True, unpack(q[:3]), quaternion_rows(q[3:]), unpack(u[:3]), unpack(u[3:]), gravity)
 
 
-def quaternion_rotation(quaternion: Any) -> Mat:
-    """The rotation of a quaternion (w, x, y, z), |quaternion|^2 times a rotation if it is no unit one."""
+def quaternion_rotation(quaternion: Any) -> Any:
+    """The rotation, 3 x 3, of a quaternion (w, x, y, z); |quaternion|^2 times a rotation if it is no unit one."""
+    return ca.vertcat(*(column(row).T for row in quaternion_rows(quaternion)))
+
+
+def quaternion_rows(quaternion: Any) -> Mat:
+    """The rows of quaternion_rotation."""
     w, x, y, z = (quaternion[k] for k in range(4))
     return (
         (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),

@@ -69,31 +69,34 @@ def _offset(body: Body, parent_slide: Fraction, slide: Fraction) -> Vector:
     return add(add(body.origin, scale(-parent_slide, _UP)), scale(slide, along))
 
 
+Cost = tuple[int, int]
+"""Nonzero entries of the offsets, then the same weighted by depth and negated: equal ones rather far from the root."""
+
+
 def _choose(bodies: tuple[Body, ...]) -> list[Fraction]:
-    """The slide of each body: least nonzero entries of all offsets, by dynamic programming over the tree."""
+    """The slide of each body, by dynamic programming over the tree."""
     candidates = _candidates(bodies)
-    children: list[list[int]] = [[k for k, b in enumerate(bodies) if b.parent == i] for i in range(len(bodies))]
-    cost: list[dict[Fraction, tuple[int, Fraction]]] = [{} for _ in bodies]
-    choice: list[dict[tuple[int, Fraction], Fraction]] = [{} for _ in bodies]
-    for i in range(len(bodies) - 1, -1, -1):
-        for t in candidates[i]:
-            total, moved = 0, abs(t)
-            for k in children[i]:
-                best = min(candidates[k], key=lambda s: _rank(bodies[k], t, s, cost[k][s]))  # noqa: B023
-                entries, distance = _rank(bodies[k], t, best, cost[k][best])
-                choice[i][k, t] = best
-                total, moved = total + entries, moved + distance
-            cost[i][t] = total, moved
+    depth = [0] * len(bodies)
+    for k, body in enumerate(bodies[1:], start=1):
+        depth[k] = depth[body.parent] + 1
+    below: list[dict[Fraction, Cost]] = [dict.fromkeys(slides, (0, 0)) for slides in candidates]
+    choice: dict[tuple[int, Fraction], Fraction] = {}  # (body, its parent's slide) -> its slide
+    for k in range(len(bodies) - 1, 0, -1):
+        parent = bodies[k].parent
+        for s in candidates[parent]:
+            costs = {t: _cost(_offset(bodies[k], s, t), depth[k], below[k][t]) for t in candidates[k]}
+            best = min(candidates[k], key=costs.__getitem__)
+            choice[k, s] = best
+            below[parent][s] = below[parent][s][0] + costs[best][0], below[parent][s][1] + costs[best][1]
     slides = [ZERO] * len(bodies)
     for k in range(1, len(bodies)):
-        parent = bodies[k].parent
-        slides[k] = choice[parent][k, slides[parent]]
+        slides[k] = choice[k, slides[bodies[k].parent]]
     return slides
 
 
-def _rank(body: Body, parent_slide: Fraction, slide: Fraction, below: tuple[int, Fraction]) -> tuple[int, Fraction]:
-    entries = sum(x != 0 for x in _offset(body, parent_slide, slide))
-    return entries + below[0], below[1]
+def _cost(offset: Vector, depth: int, below: Cost) -> Cost:
+    entries = sum(x != 0 for x in offset)
+    return below[0] + entries, below[1] - depth * entries
 
 
 def _candidates(bodies: tuple[Body, ...]) -> list[list[Fraction]]:

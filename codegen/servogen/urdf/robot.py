@@ -8,6 +8,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from servogen.errors import SceneError
+from servogen.scene.convert import matrix
 from servogen.scene.known import KnownRates
 from servogen.scene.mechanism import Mechanism
 from servogen.urdf import dynamics, placement
@@ -75,6 +76,17 @@ class Robot:
     def rotation(self, frame: str) -> Any:
         """The frame's axes as the columns of a rotation matrix, 3 x 3, frame to world."""
         return self._pose(frame)[1]
+
+    def orientation_error(self, frame: str, reference: Any) -> Any:
+        """sin(angle) axis of the turn that takes the reference to the frame, in the world's axes, 3.
+
+        reference: 3 x 3 rotation to the world, SX of references and parameters or numbers. Zero half a turn away, too.
+        """
+        wanted = matrix(reference, "orientation_error: reference", 3, 3, "a rotation")
+        B = ca.mtimes(self.rotation(frame), wanted.T)
+        psi = ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2
+        self._make_error_known(frame, B, psi, wanted)
+        return psi
 
     def jacobian(self, frame: str) -> Any:
         """6 x n_u: linear velocity of the frame's origin (m/s), then angular velocity (rad/s), in the world's axes."""
@@ -188,6 +200,18 @@ class Robot:
         acceleration = ca.mtimes(factor, alpha) + spin
         self._known.add(factor, J_angular, ca.mtimes(factor, omega), acceleration, value=ca.vec(rotation))
         return ca.vertcat(v_world, omega_world)
+
+    def _make_error_known(self, name: str, B: Any, psi: Any, wanted: Any) -> None:
+        """psi' = E omega with E = (tr(B) I - B) / 2, and psi'' = E omega' + omega x psi' - omega (omega . psi), where
+        B = rotation wanted^T and wanted stands still."""
+        frame, turn, omega = self._frame(name), self._base_rotation, self.velocity(name)[3:]
+        _, J = self._jacobian(frame)
+        _, alpha = self._bias(frame, J.nonzeros())
+        E = (ca.trace(B) * ca.SX.eye(3) - B) / 2
+        rate = ca.mtimes(E, omega)
+        spin = ca.cross(omega, rate) - omega * ca.dot(omega, psi)
+        factor = ca.mtimes(E, turn)
+        self._known.add(factor, J, rate, ca.mtimes(factor, alpha) + spin, value=psi, still=wanted)
 
 
 def _symbols(names: Sequence[str]) -> Any:
