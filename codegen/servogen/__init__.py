@@ -3,6 +3,7 @@
 The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints Based on the Generalized Inverse" (2004).
 """
 
+from servogen import urdf
 from servogen.compiler import build, build_solver
 from servogen.errors import SceneError
 from servogen.package import Package
@@ -40,4 +41,5 @@ __all__ = [
     "build",
     "build_solver",
     "reference",
+    "urdf",
 ]

@@ -138,19 +138,21 @@ def _solve_diagonal(Q: Any, right: Any, positive: bool) -> tuple[Any, MassTreatm
 
 def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
     n = Q.size1()
-    q, x = _entries(Q), _entries(right)
+    order = _elimination_order(Q, right)
+    q, x = _entries(Q[order, order]), _entries(right[order, :])
     L: Rows = [[ca.SX(0)] * n for _ in range(n)]
+    weighted: Rows = [[ca.SX(0)] * n for _ in range(n)]  # L D
     d: list[Any] = []
     for j in range(n):
-        weighted = [L[j][k] * d[k] if not L[j][k].is_zero() else ca.SX(0) for k in range(j)]
         pivot = q[j][j]
         for k in range(j):
-            pivot = _minus(pivot, L[j][k], weighted[k])
+            pivot = _minus(pivot, L[j][k], weighted[j][k])
         d.append(pivot)
         for i in range(j + 1, n):
             entry = q[i][j]
             for k in range(j):
-                entry = _minus(entry, L[i][k], weighted[k])
+                entry = _minus(entry, L[i][k], weighted[j][k])
+            weighted[i][j] = entry
             L[i][j] = _over(entry, pivot)
     for c in range(right.size2()):
         for i in range(n):
@@ -163,7 +165,42 @@ def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
                 x[i][c] = _minus(x[i][c], L[k][i], x[k][c])
     pivots, scales = _guards(d, [q[k][k] for k in range(n)], positive=True)
     reason = "Q is symmetric by proof and positive definite over the domain: one LDL^T"
-    return _matrix(x), MassTreatment("LDL^T", reason, pivots, scales, positive_definite=True)
+    if order != list(range(n)):
+        reason += ", the last velocity parameter eliminated first"
+    solution: list[Any] = [row for _, row in sorted(zip(order, x, strict=True), key=lambda pair: pair[0])]
+    return _matrix(solution), MassTreatment("LDL^T", reason, pivots, scales, positive_definite=True)
+
+
+def _elimination_order(Q: Any, right: Any) -> list[int]:
+    """First to last, or last to first, whichever takes fewer operations.
+
+    Of a tree numbered from the root, the latter fills no zero entry: Featherstone, Rigid Body Dynamics Algorithms
+    (2008), Section 6.5.
+    """
+    n = Q.size1()
+    forward = list(range(n))
+    return min((forward, forward[::-1]), key=lambda order: _ldlt_operations(Q, right, order))
+
+
+def _ldlt_operations(Q: Any, right: Any, order: list[int]) -> int:
+    """Multiplications of the factorisation and the solves, from the zero pattern alone."""
+    n = len(order)
+    filled = [[not Q[i, j].is_zero() for j in order] for i in order]
+    count = 0
+    for k in range(n):
+        below = [i for i in range(k + 1, n) if filled[i][k]]
+        count += len(below) + len(below) * (len(below) + 1) // 2
+        for i in below:
+            for j in below:
+                filled[i][j] = True
+    for c in range(right.size2()):
+        x = [not right[i, c].is_zero() for i in order]
+        for k in range(n):
+            below = [i for i in range(k + 1, n) if filled[i][k]]
+            count += (len(below) if x[k] else 0) + len(below)
+            for i in below:
+                x[i] = x[i] or x[k]
+    return count
 
 
 def _solve_lu(Q: Any, right: Any, reason: str) -> tuple[Any, MassTreatment]:

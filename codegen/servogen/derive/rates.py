@@ -1,5 +1,6 @@
 """Time derivatives along the motion: q' = C u + D, t' = 1, and the rates of the references."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -9,13 +10,15 @@ from servogen.scene.scene import Scene
 from servogen.scene.symbols import chains
 
 
-def rate(scene: Scene, expression: Any, what: str, u_dot: Any = None) -> Any:
+def rate(
+    scene: Scene, expression: Any, what: str, u_dot: Any = None, along: Sequence[tuple[Any, Any]] = ()
+) -> Any:
     """d/dt of a column: psi_q (C u + D) + psi_t + psi_r r', and psi_u u' where u_dot is given (Eq. 5).
 
-    One directional derivative; no Jacobian is formed. SceneError where a reference's rate is needed but not declared.
+    along: further (symbol, rate) pairs. One directional derivative; no Jacobian is formed. SceneError where a reference's rate is needed but not declared.
     """
     mech = scene.mechanism
-    moving = [(mech.q, mech.q_dot)]
+    moving = [(mech.q, mech.q_dot), *along]
     if u_dot is not None:
         moving.append((mech.u, u_dot))
     if mech.t is not None:
@@ -34,6 +37,14 @@ def rate(scene: Scene, expression: Any, what: str, u_dot: Any = None) -> Any:
                 f"{what} needs the derivative of {last.name!r}, a higher order than reference {name!r} declares; "
                 f"{remedy}"
             )
-    along = ca.vertcat(*(symbol for symbol, _ in moving))
+    symbols = ca.vertcat(*(symbol for symbol, _ in moving))
     seed = ca.vertcat(*(derivative for _, derivative in moving))
-    return ca.jtimes(expression, along, seed)
+    return ca.jtimes(expression, symbols, seed)
+
+
+def moving_symbols(scene: Scene) -> Any:
+    """A column of every symbol with a rate: q, u, t and the references of order 1 or 2."""
+    mech = scene.mechanism
+    assert scene.references is not None
+    references = [f.symbol for chain in chains(scene.references) if chain.order > 0 for f in chain.chain]
+    return ca.vertcat(mech.q, mech.u, *([] if mech.t is None else [mech.t]), *references)

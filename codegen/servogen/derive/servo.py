@@ -5,8 +5,8 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.formulation import Formulation, Quantity
+from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
-from servogen.derive.rates import rate
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.scene import Scene
 
@@ -34,11 +34,9 @@ def derive_servo(scene: Scene) -> Formulation:
 def _rows(scene: Scene, constraint: Any) -> tuple[Any, Any, Any, Any]:
     """psi, and J, X, right side of  J u' + X = right side  for one constraint."""
     assert not isinstance(constraint, ControlsInvolved)
-    what, u = f"constraint {constraint.name!r}", scene.mechanism.u
-    psi = constraint.psi
-    psi_dot = rate(scene, psi, what)
+    what, psi = f"constraint {constraint.name!r}", constraint.psi
     if isinstance(constraint, Holonomic):
-        X = rate(scene, psi_dot, what)
-        prescribed = ca.mtimes(constraint.Theta1, psi_dot) + ca.mtimes(constraint.Theta2, psi)
-        return psi, ca.jacobian(psi_dot, u), X, prescribed
-    return psi, ca.jacobian(psi, u), psi_dot, ca.mtimes(constraint.Theta, psi)
+        psi_dot, J, X = holonomic_rates(scene, psi, what)
+        return psi, J, X, ca.mtimes(constraint.Theta1, psi_dot) + ca.mtimes(constraint.Theta2, psi)
+    J, psi_dot = nonholonomic_rates(scene, psi, what)
+    return psi, J, psi_dot, ca.mtimes(constraint.Theta, psi)

@@ -72,6 +72,9 @@ class _Folder:
             return self.add("sub", (a, flipped))
         if (flipped := self._negated(a)) is not None:
             return self.add("sub", (b, flipped))
+        for k, other in ((a, b), (b, a)):
+            if self.instrs[k].op == "sub" and self.instrs[k].args[1] == other:  # (x - b) + b
+                return self.instrs[k].args[0]
         return None
 
     def _simplify_sub(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
@@ -84,7 +87,22 @@ class _Folder:
             return self.add("neg", (b,))
         if (flipped := self._negated(b)) is not None:
             return self.add("add", (a, flipped))
+        if (other := self._other_operand("add", a, b)) is not None:  # (x + b) - b
+            return other
+        if self.instrs[b].op == "sub" and self.instrs[b].args[0] == a:  # a - (a - x)
+            return self.instrs[b].args[1]
+        if (other := self._other_operand("add", b, a)) is not None:  # a - (a + x)
+            return self.add("neg", (other,))
+        if self.instrs[a].op == "sub" and self.instrs[a].args[0] == b:  # (b - x) - b
+            return self.add("neg", (self.instrs[a].args[1],))
         return None
+
+    def _other_operand(self, op: str, k: int, operand: int) -> int | None:
+        """x where instruction k is x op operand or operand op x; None if it is neither."""
+        instr = self.instrs[k]
+        if instr.op != op or operand not in instr.args:
+            return None
+        return instr.args[1] if instr.args[0] == operand else instr.args[0]
 
     def _simplify_mul(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
         for c, other in ((constants[0], args[1]), (constants[1], args[0])):
@@ -109,6 +127,8 @@ class _Folder:
                 return self.add("neg", (self.add("div", (positive, args[1]) if k == 0 else (args[0], positive)),))
         if constants[1] is not None and _is_power_of_two(constants[1]):
             return self.add("mul", (args[0], self._number(1 / constants[1])))
+        if constants[1] is not None and (other := self._other_operand("mul", *args)) is not None:
+            return other
         return self._move_sign_out("div", args)
 
     def _move_sign_out(self, op: str, args: tuple[int, ...]) -> int | None:

@@ -7,6 +7,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import column, matrix, symbols
+from servogen.scene.known import KnownRates
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,6 +17,7 @@ class Mechanism:
     q: n_q configuration parameters, u: n_u velocity parameters, tau: l controls, t: time, all SX symbols.
     Q: n_u x n_u of q, t. P: n_u of q, u, t. G: n_u x l of q, u, t (l may exceed n_u).
     C: n_q x n_u of q, t, identity if absent. D: n_q of q, t, zero if absent.
+    known: expressions of q whose rates need no differentiation (sg.urdf fills it); None if there are none.
     Entries may be SX or numbers, and may hold parameters. SceneError for wrong shapes and kinds.
     """
 
@@ -28,6 +30,7 @@ class Mechanism:
     C: Any = None
     D: Any = None
     t: Any = None
+    known: KnownRates | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:

@@ -1,0 +1,61 @@
+"""Quantities whose rates are known in closed form, so that nobody needs to differentiate them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A column p' = factor J u with p'' = factor J u' + acceleration, all SX.
+
+    factor: k x w of q. J: w x n_u of q. rate: k, p'. acceleration: k, p'' at u' = 0.
+    still: what the four take to be constant (references, say); the entry does not hold where it moves.
+    """
+
+    factor: Any
+    J: Any
+    rate: Any
+    acceleration: Any
+    still: Any
+
+
+class KnownRates:
+    """What is known about the expressions of one mechanism; grows as the user asks for them.
+
+    Entries are recognised by their SX node, not by their form: an expression that CasADi has rewritten beyond
+    recognition is differentiated like any other.
+    """
+
+    def __init__(self) -> None:
+        self._of_q: dict[int, tuple[Any, Known, int]] = {}
+        self._of_u: dict[int, tuple[Any, Known, int]] = {}
+
+    def add(self, factor: Any, J: Any, rate: Any, acceleration: Any, value: Any = None, still: Any = None) -> None:
+        """Make p' = rate known, and p = value if given (a function of q); see Known."""
+        rate = ca.densify(rate)
+        known = Known(factor, J, rate, ca.densify(acceleration), ca.SX() if still is None else still)
+        _enter(self._of_u, rate, known)
+        if value is not None:
+            _enter(self._of_q, ca.densify(value), known)
+
+    def of_q(self, node: Any) -> tuple[Known, int] | None:
+        """The entry whose p a scalar SX node is, and its row."""
+        found = self._of_q.get(node.__hash__())
+        return None if found is None else found[1:]
+
+    def of_u(self, node: Any) -> tuple[Known, int] | None:
+        """The entry whose p' a scalar SX node is, and its row."""
+        found = self._of_u.get(node.__hash__())
+        return None if found is None else found[1:]
+
+    def __bool__(self) -> bool:
+        return bool(self._of_u)
+
+
+def _enter(table: dict[int, tuple[Any, Known, int]], column: Any, known: Known) -> None:
+    for row in range(column.size1()):
+        node = column[row]  # kept, so that its number is never another's
+        if not node.is_leaf():
+            table.setdefault(node.__hash__(), (node, known, row))

@@ -1,0 +1,120 @@
+"""Exact 3-vectors and rotations: rationals, so that structural zeros and ones of a robot are found, not guessed.
+
+A quarter turn is exact; any other angle is computed to 50 digits and then kept as a rational.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import mpmath as mp
+
+from servogen.ir.lower import decimal_value
+
+Vector = tuple[Fraction, Fraction, Fraction]
+Matrix = tuple[Vector, Vector, Vector]
+
+ZERO, ONE = Fraction(0), Fraction(1)
+ORIGIN: Vector = (ZERO, ZERO, ZERO)
+IDENTITY: Matrix = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
+QUARTER_TURN_TOLERANCE = 5e-6
+"""Radians; 1.5708 and anything closer is meant as pi/2."""
+
+_DIGITS = 50
+_QUARTER_TURNS = ((ONE, ZERO), (ZERO, ONE), (-ONE, ZERO), (ZERO, -ONE))
+
+
+def vector(numbers: Sequence[float]) -> Vector:
+    """Three floats as the decimals they print as."""
+    x, y, z = (decimal_value(float(number)) for number in numbers)
+    return x, y, z
+
+
+def add(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def scale(factor: Fraction, a: Vector) -> Vector:
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def dot(a: Vector, b: Vector) -> Fraction:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def outer(a: Vector, b: Vector) -> Matrix:
+    return scale(a[0], b), scale(a[1], b), scale(a[2], b)
+
+
+def transpose(m: Matrix) -> Matrix:
+    return (m[0][0], m[1][0], m[2][0]), (m[0][1], m[1][1], m[2][1]), (m[0][2], m[1][2], m[2][2])
+
+
+def apply(m: Matrix, a: Vector) -> Vector:
+    return dot(m[0], a), dot(m[1], a), dot(m[2], a)
+
+
+def multiply(m: Matrix, n: Matrix) -> Matrix:
+    columns = transpose(n)
+    return transpose((apply(m, columns[0]), apply(m, columns[1]), apply(m, columns[2])))
+
+
+def add_matrices(m: Matrix, n: Matrix) -> Matrix:
+    return add(m[0], n[0]), add(m[1], n[1]), add(m[2], n[2])
+
+
+def scale_matrix(factor: Fraction, m: Matrix) -> Matrix:
+    return scale(factor, m[0]), scale(factor, m[1]), scale(factor, m[2])
+
+
+def snapped_turns(angle: float) -> int | None:
+    """How many quarter turns an angle in radians is meant to be; None if it is no multiple of one."""
+    turns = round(angle / (mp.pi / 2))
+    return int(turns) if abs(angle - turns * mp.pi / 2) <= QUARTER_TURN_TOLERANCE else None
+
+
+def cosine_sine(angle: float) -> tuple[Fraction, Fraction]:
+    """cos and sin of an angle in radians: exact at quarter turns, else to 50 digits."""
+    turns = snapped_turns(angle)
+    if turns is not None:
+        return _QUARTER_TURNS[turns % 4]
+    with mp.workdps(_DIGITS):
+        number = decimal_value(angle)
+        exact = mp.mpf(number.numerator) / number.denominator
+        return _fraction(mp.cos(exact)), _fraction(mp.sin(exact))
+
+
+def rotation(rpy: Sequence[float]) -> Matrix:
+    """The rotation of URDF's roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, sr), (cp, sp), (cy, sy) = (cosine_sine(float(angle)) for angle in rpy)
+    roll: Matrix = ((ONE, ZERO, ZERO), (ZERO, cr, -sr), (ZERO, sr, cr))
+    pitch: Matrix = ((cp, ZERO, sp), (ZERO, ONE, ZERO), (-sp, ZERO, cp))
+    yaw: Matrix = ((cy, -sy, ZERO), (sy, cy, ZERO), (ZERO, ZERO, ONE))
+    return multiply(yaw, multiply(pitch, roll))
+
+
+def unit(a: Vector) -> Vector:
+    """a / |a|, exact where a lies along a coordinate axis."""
+    if sum(x != 0 for x in a) == 1:
+        return tuple(Fraction((x > 0) - (x < 0)) for x in a)  # type: ignore[return-value]
+    with mp.workdps(_DIGITS):
+        square = dot(a, a)
+        length = _fraction(mp.sqrt(mp.mpf(square.numerator) / square.denominator))
+    return scale(1 / length, a)
+
+
+def turning_z_to(axis: Vector) -> Matrix:
+    """A rotation whose third column is the unit vector `axis`; a signed permutation where that is a coordinate axis."""
+    k = max(range(3), key=lambda i: abs(axis[i]))
+    helper: Vector = IDENTITY[(k + 1) % 3]
+    x = unit(add(helper, scale(-dot(helper, axis), axis)))
+    return transpose((x, cross(axis, x), axis))
+
+
+def _fraction(number: mp.mpf) -> Fraction:
+    sign, mantissa, exponent, _ = number._mpf_
+    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return -magnitude if sign else magnitude

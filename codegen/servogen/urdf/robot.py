@@ -1,0 +1,249 @@
+"""A robot as CasADi SX: its mechanism, and the kinematics of its links."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+
+from servogen.errors import SceneError
+from servogen.scene.convert import matrix
+from servogen.scene.known import KnownRates
+from servogen.scene.mechanism import Mechanism
+from servogen.urdf import dynamics, placement
+from servogen.urdf.base import FLOATING_Q, FLOATING_U, fixed_base, floating_base, rate_map
+from servogen.urdf.description import read
+from servogen.urdf.frames import align, slide
+from servogen.urdf.motion import Link, Motion, link, motions
+from servogen.urdf.regroup import regroup
+from servogen.urdf.tree import Frame, Tree, build
+from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
+
+
+class Robot:
+    """A tree of rigid bodies from a URDF file; every result is SX of `q` and `u`. Frames are named by links.
+
+    q: n joint coordinates (rad, m), after position (m) and unit quaternion (w, x, y, z) of a floating base.
+    u: n joint rates, after linear and angular velocity of a floating base in its own axes. tau: n joint efforts.
+    notes: what was read otherwise than written (angles taken as exact quarter turns).
+    """
+
+    def __init__(self, tree: Tree, joints: Sequence[str], floating: bool, gravity: Vec, notes: Sequence[str]) -> None:
+        self.joints = tuple(joints)
+        self.notes = tuple(notes)
+        names = self.joints
+        self.q = _symbols((*FLOATING_Q, *names) if floating else names)
+        rates = tuple(f"{name}_rate" for name in names)
+        self.u = _symbols((*FLOATING_U, *rates) if floating else rates)
+        self.tau = _symbols(tuple(f"{name}_effort" for name in names))
+        self._base = floating_base(self.q, self.u, gravity) if floating else fixed_base(gravity)
+        self._regrouped = regroup(tree)
+        self._tree = self._regrouped.welded
+        # body k + 1 moves by the coordinate of its joint, whose place the caller chose
+        self._place = [self.joints.index(body.joint) for body in tree.bodies[1:]]
+        first_q, first_u = (len(FLOATING_Q), len(FLOATING_U)) if floating else (0, 0)
+        self._links = [
+            link(body, self.q[first_q + at], self.u[first_u + at])
+            for body, at in zip(self._tree.bodies[1:], self._place, strict=True)
+        ]
+        self._known = KnownRates()
+        self._poses: dict[str, tuple[Any, Any, Any]] = {}
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The links, each of which names a frame."""
+        return tuple(self._tree.frames)
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Q: mass matrix; P = -(bias forces); G: identity, or the joints' rows for a floating base; C for its rates.
+
+        Composite rigid bodies and recursive Newton-Euler: Featherstone, Rigid Body Dynamics Algorithms (2008),
+        Chapters 5, 6 and 9. u' of a floating base are the derivatives of the components in its own, turning axes.
+        """
+        n, base = len(self.joints), self._base.size
+        G = ca.vertcat(ca.SX(base, n), ca.SX.eye(n))
+        C = rate_map(self._base, self.q[3:7], n) if base else None
+        return Mechanism(
+            q=self.q, u=self.u, tau=self.tau, Q=self._mass_matrix(), P=-self._bias_forces(), G=G, C=C, known=self._known
+        )
+
+    def position(self, frame: str) -> Any:
+        """The frame's origin in the world, 3, m. Holonomic constraints on it are derived without differentiation."""
+        return self._pose(frame)[0]
+
+    def rotation(self, frame: str) -> Any:
+        """The frame's axes as the columns of a rotation matrix, 3 x 3, frame to world."""
+        return self._pose(frame)[1]
+
+    def orientation_error(self, frame: str, reference: Any) -> Any:
+        """sin(angle) axis of the turn that takes the reference to the frame, in the world's axes, 3.
+
+        reference: 3 x 3 rotation to the world, SX of references and parameters or numbers. Zero half a turn away, too.
+        """
+        wanted = matrix(reference, "orientation_error: reference", 3, 3, "a rotation")
+        B = ca.mtimes(self.rotation(frame), wanted.T)
+        psi = ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2
+        self._make_error_known(frame, B, psi, wanted)
+        return psi
+
+    def jacobian(self, frame: str) -> Any:
+        """6 x n_u: linear velocity of the frame's origin (m/s), then angular velocity (rad/s), in the world's axes."""
+        linear, angular = self._jacobian(self._frame(frame))
+        turn = self._base_rotation
+        return ca.vertcat(ca.mtimes(turn, linear), ca.mtimes(turn, angular))
+
+    def velocity(self, frame: str) -> Any:
+        """6: the frame's linear velocity (m/s) and angular velocity (rad/s) in the world's axes, J u."""
+        return self._pose(frame)[2]
+
+    def bias_acceleration(self, frame: str) -> Any:
+        """6: linear (m/s^2) and angular (rad/s^2) acceleration at u' = 0, J' u, in the world's axes."""
+        at = self._frame(frame)
+        linear, angular = self._bias(at, [])
+        return ca.vertcat(ca.mtimes(self._base_rotation, linear), ca.mtimes(self._base_rotation, angular))
+
+    def center_of_mass(self) -> Any:
+        """Of the whole robot, links fixed to the world included, in the world, 3, m. SceneError for a massless one."""
+        whole = self._composites[0]
+        if whole.mass <= 0:
+            raise SceneError("the robot has no mass; give its links an <inertial>")
+        return column(plus(self._base.position, self._base.to_world(times(1 / whole.mass, whole.first))))
+
+    # ------------------------------------------------------------------ recursions, each once
+
+    @cached_property
+    def _motion(self) -> list[Motion]:
+        return motions(self._links, Motion(self._base.omega, NOWHERE, self._base.felt()))
+
+    @cached_property
+    def _axes(self) -> list[Mat]:
+        return placement.rotations(self._links)
+
+    @cached_property
+    def _composites(self) -> list[dynamics.Composite]:
+        return dynamics.composites(self._links, [body.inertia for body in self._regrouped.spinning.bodies])
+
+    @cached_property
+    def _base_rotation(self) -> Any:
+        return ca.vertcat(*(column(row).T for row in self._base.rotation))
+
+    def _mass_matrix(self) -> Any:
+        floating = self._base.floating
+        rows = dynamics.mass_matrix(self._links, self._composites, self._regrouped.rotors, floating)
+        order = self._order()
+        return ca.vertcat(*(ca.horzcat(*(ca.SX(rows[i][j]) for j in order)) for i in order))
+
+    def _bias_forces(self) -> Any:
+        inertias = [body.inertia for body in self._tree.bodies]
+        f, n, joint = dynamics.bias_forces(self._links, self._motion, inertias, self._regrouped.rotors)
+        entries = [*f, *n, *joint] if self._base.floating else joint
+        return column([entries[i] for i in self._order()])
+
+    def _order(self) -> list[int]:
+        """For each entry of u, its place in the recursions: base first, then bodies."""
+        base = self._base.size
+        body_of = {at: k for k, at in enumerate(self._place)}
+        return [*range(base), *(base + body_of[at] for at in range(len(self.joints)))]
+
+    # ------------------------------------------------------------------ frames
+
+    def _frame(self, name: str) -> Frame:
+        if name not in self._tree.frames:
+            raise SceneError(f"no frame {name!r}; the links that name frames are {', '.join(self.frames)}")
+        return self._tree.frames[name]
+
+    def _jacobian(self, frame: Frame) -> tuple[Any, Any]:
+        """Linear and angular rows, 3 x n_u each, in the root's axes."""
+        base = self._base.size
+        at = placement.point(self._links, self._axes, frame)
+        linear: list[Vec] = [NOWHERE] * (base + len(self.joints))
+        angular = list(linear)
+        for i in range(3 if base else 0):
+            unit: Vec = (float(i == 0), float(i == 1), float(i == 2))
+            linear[i], linear[3 + i], angular[3 + i] = unit, cross(unit, at.arm), unit
+        for k, along, about in at.columns:
+            linear[base + self._place[k - 1]], angular[base + self._place[k - 1]] = along, about
+        return ca.horzcat(*map(column, linear)), ca.horzcat(*map(column, angular))
+
+    def _bias(self, frame: Frame, besides: list[Any]) -> tuple[Any, Any]:
+        """Linear and angular bias acceleration in the root's axes."""
+        linear = self._base.without_gravity(placement.bias(self._links, self._axes, self._motion, frame, besides))
+        alpha = self._motion[frame.body].alpha
+        angular = placement.in_root_axes(self._links, self._axes, frame.body, alpha, besides)
+        return column(linear), column(angular)
+
+    def _pose(self, name: str) -> tuple[Any, Any, Any]:
+        """Position, rotation and velocity, with their rates made known; the same SX at each call."""
+        if name not in self._poses:
+            frame = self._frame(name)
+            arm = placement.point(self._links, self._axes, frame).arm
+            position = column(plus(self._base.position, self._base.to_world(arm)))
+            axes = [column(axis) for axis in placement.frame_axes(self._axes, frame)]
+            rotation = ca.mtimes(self._base_rotation, ca.horzcat(*axes))
+            self._poses[name] = position, rotation, self._make_known(frame, position, rotation, axes)
+        return self._poses[name]
+
+    def _make_known(self, frame: Frame, position: Any, rotation: Any, axes: list[Any]) -> Any:
+        """Tells the rates of position, rotation and velocity; returns the velocity."""
+        turn = self._base_rotation
+        J, J_angular = self._jacobian(frame)
+        linear, alpha = self._bias(frame, J.nonzeros())
+        v, omega = ca.mtimes(J, self.u), ca.mtimes(J_angular, self.u)
+        v_world, omega_world = ca.mtimes(turn, v), ca.mtimes(turn, omega)
+        self._known.add(turn, J, v_world, ca.mtimes(turn, linear), value=position)
+        self._known.add(turn, J_angular, omega_world, ca.mtimes(turn, alpha))
+        # each column c turns by c' = omega x c
+        factor = ca.vertcat(*(ca.mtimes(turn, -ca.skew(axis)) for axis in axes))
+        spin = ca.vertcat(*(ca.mtimes(turn, ca.cross(omega, ca.cross(omega, axis))) for axis in axes))
+        acceleration = ca.mtimes(factor, alpha) + spin
+        self._known.add(factor, J_angular, ca.mtimes(factor, omega), acceleration, value=ca.vec(rotation))
+        return ca.vertcat(v_world, omega_world)
+
+    def _make_error_known(self, name: str, B: Any, psi: Any, wanted: Any) -> None:
+        """psi' = E omega with E = (tr(B) I - B) / 2, and psi'' = E omega' + omega x psi' - omega (omega . psi), where
+        B = rotation wanted^T and wanted stands still."""
+        frame, turn, omega = self._frame(name), self._base_rotation, self.velocity(name)[3:]
+        _, J = self._jacobian(frame)
+        _, alpha = self._bias(frame, J.nonzeros())
+        E = (ca.trace(B) * ca.SX.eye(3) - B) / 2
+        rate = ca.mtimes(E, omega)
+        spin = ca.cross(omega, rate) - omega * ca.dot(omega, psi)
+        factor = ca.mtimes(E, turn)
+        self._known.add(factor, J, rate, ca.mtimes(factor, alpha) + spin, value=psi, still=wanted)
+
+
+def _symbols(names: Sequence[str]) -> Any:
+    return ca.vertcat(*(ca.SX.sym(name) for name in names))
+
+
+def load(
+    path: str | Path,
+    base: Literal["fixed", "floating"] = "fixed",
+    gravity: Sequence[float] = (0, 0, -9.81),
+    joints: Sequence[str] | None = None,
+    quiet: bool = False,
+) -> Robot:
+    """The robot in a URDF file.
+
+    base: "fixed" (the root link is the world) or "floating". gravity: in the world, m/s^2.
+    joints: the actuated joints to keep, in the order of q; all others are locked at zero. None: all, in tree order.
+    quiet: do not print which angles were taken as exact quarter turns (they stay in `notes`).
+    Raises SceneError for a file that cannot be read, unsupported joints, loops, joints that move no mass.
+    """
+    if base not in ("fixed", "floating"):
+        raise SceneError(f"base={base!r}; choose 'fixed' or 'floating'")
+    down = [float(g) for g in gravity]
+    if len(down) != 3:
+        raise SceneError(f"gravity has {len(down)} entries; give three, in the world's axes, m/s^2")
+    description = read(path)
+    tree = slide(align(build(description, joints)))
+    moving = [body.joint for body in tree.bodies[1:]]
+    if not quiet:
+        for note in description.notes:
+            print(f"{description.source}: {note}")
+    return Robot(tree, moving if joints is None else joints, base == "floating", (down[0], down[1], down[2]),
+                 description.notes)  # fmt: skip
+
+
