@@ -320,11 +320,11 @@ def test_after_eq_10_null_space_of_S_not_of_its_transpose() -> None:
 
     assert null_space(wide.T) == 0
     assert null_space(tall.T) == 1
-    solver = sg.build_solver(1, 2).load()
+    solver = sg.build_solver(1, 2).load(flags=["-O0"])
     answers = [solver.solve(wide, [2.0], y)[0] for y in ([0.0, 0.0], [5.0, -3.0])]
     assert all(float((wide @ x)[0]) == pytest.approx(2.0) for x in answers)
     assert np.abs(answers[0] - answers[1]).max() > 1
-    solver = sg.build_solver(2, 1).load()
+    solver = sg.build_solver(2, 1).load(flags=["-O0"])
     answers = [solver.solve(tall, [2.0, 2.0], y)[0] for y in ([0.0], [5.0])]
     np.testing.assert_allclose(answers[0], answers[1], rtol=1e-14)
     assert null_space(wide) == 1
@@ -333,7 +333,7 @@ def test_after_eq_10_null_space_of_S_not_of_its_transpose() -> None:
 
 def test_after_eq_12_case_1_unique_needs_full_column_rank() -> None:
     """Case 1: l <= m is not enough. [[1, 2], [2, 4]] has l = m, a consistent right side and many solutions."""
-    solver = sg.build_solver(2, 2).load()
+    solver = sg.build_solver(2, 2).load(flags=["-O0"])
     S, z = np.array([[1.0, 2.0], [2.0, 4.0]]), np.array([1.0, 2.0])
     answers = [solver.solve(S, z, y) for y in ([0.0, 0.0], [3.0, 0.0])]
     for x, info in answers:
@@ -358,7 +358,7 @@ def test_eq_13_text_accelerations_are_first_derivatives_of_u() -> None:
 def test_eq_16_left_inverse_needs_full_column_rank() -> None:
     """G+ G = I "because l <= n" fails for a 3 x 2 G of rank 1, and holds where rank G = l."""
     full, deficient = np.array([[1.0, -1], [0, 1], [2, 0]]), np.array([[1.0, 2], [2, 4], [0, 0]])
-    solver = sg.build_solver(3, 2).load()
+    solver = sg.build_solver(3, 2).load(flags=["-O0"])
     assert np.abs(solver.pinv(full)[0] @ full - np.eye(2)).max() < 1e-14
     inverse, info = solver.pinv(deficient)
     assert info.rank == 1

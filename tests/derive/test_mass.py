@@ -119,7 +119,7 @@ def test_identity_and_diagonal_leave_no_solve() -> None:
 def test_constant_mass_of_either_sign() -> None:
     for Q in ([[2.0, 1.0], [1.0, 2.0]], [[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, -2.0], [3.0, 0.0]]):
         program_S = sg.reference(small(ca.DM(Q))).S(q=[0, 0], u=[0, 0])
-        S = sg.build(small(ca.DM(Q))).load().S(q=[0, 0], u=[0, 0])
+        S = sg.build(small(ca.DM(Q))).load(flags=["-O0"]).S(q=[0, 0], u=[0, 0])
         np.testing.assert_allclose(S, program_S, rtol=1e-15)
         np.testing.assert_allclose(S.ravel(), np.linalg.solve(np.array(Q).T, [1.0, 0.5]), rtol=1e-15)
 
@@ -128,7 +128,7 @@ def test_constant_mass_of_either_sign() -> None:
 
 
 def run(scene: sg.Scene) -> tuple[Any, Any]:
-    return sg.build(scene).load(), sg.reference(scene)
+    return sg.build(scene).load(flags=["-O0"]), sg.reference(scene)
 
 
 @pytest.mark.parametrize(
@@ -154,10 +154,6 @@ def test_singular_mass_at_a_state(Q: Any, bad: list[float], good: list[float]) -
         assert twin.control(q=good, u=[1, 1]).info.status == sg.Status.OK
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="pivots after one of zero are NaN, and templates/evaluation.c.j2 asks for NaN before it asks for zero",
-)
 @pytest.mark.parametrize("Q", [entries(q[0] ** 2, q[0], q[0], 2), entries(0, q[0], 1, 0)])
 def test_singular_mass_at_the_first_pivot(Q: Any) -> None:
     """At q = 0 the status is SINGULAR_MASS, whichever pivot tells."""
@@ -169,7 +165,7 @@ def test_singular_mass_at_the_first_pivot(Q: Any) -> None:
 def test_nearly_singular_mass_is_singular_to_working_precision() -> None:
     scene = small(entries(1, q[0], q[0], 1), {"q": (-0.9, 0.9)})
     for scalar, gap in (("float64", 1e-17), ("float32", 1e-9)):
-        twin = sg.build(scene, scalar=scalar).load()  # type: ignore[arg-type]
+        twin = sg.build(scene, scalar=scalar).load(flags=["-O0"])  # type: ignore[arg-type]
         assert twin.control(q=[1.0 - gap, 0], u=[1, 1]).info.status == sg.Status.SINGULAR_MASS
         assert twin.control(q=[0.999, 0], u=[1, 1]).info.status == sg.Status.OK
 

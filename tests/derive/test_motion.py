@@ -8,6 +8,7 @@ import pytest
 import servogen as sg
 from support.models import MASSES, defaults, derived, random_scene
 
+NO_TAU = np.zeros(3)
 STEPS, H = 4, 8e-3  # of the trajectory to either side of the state: derivatives by a stencil of five points
 
 
@@ -112,7 +113,7 @@ def test_servo_system_is_the_motion(kind: str, mass: str) -> None:
         state = random_state(scene, rng)
         system = quantities(**state, tau=np.zeros(scene.controls))
         np.testing.assert_allclose(system["psi"].ravel(), np.concatenate(
-            [v[2] for v in motion.constraints_at(state, lambda s, zero=np.zeros(3): zero)]))  # fmt: skip
+            [v[2] for v in motion.constraints_at(state, lambda s: NO_TAU)]))  # fmt: skip
         for _ in range(2):
             tau = rng.uniform(-2, 2, scene.controls)
             left = excess(motion, motion.constraints_at(state, lambda s, tau=tau: tau))

@@ -151,7 +151,8 @@ def test_partials_of_steps_are_zero(name: str) -> None:
 def test_commutative_rows_commute_and_others_do_not() -> None:
     for row in (r for r in ROWS if r.arity == 2):
         a, b = operands(row)
-        assert np.array_equal(row.numpy(a, b), row.numpy(b, a)) == row.commutative, row.name
+        with np.errstate(invalid="ignore"):
+            assert np.array_equal(row.numpy(a, b), row.numpy(b, a)) == row.commutative, row.name
 
 
 @pytest.fixture(scope="module")

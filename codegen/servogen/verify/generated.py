@@ -1,5 +1,6 @@
 """The committed C of the built-in scenes: made anew, and compared byte for byte."""
 
+import sys
 import tempfile
 from pathlib import Path
 
@@ -57,3 +58,8 @@ def _first_difference(old: bytes, new: bytes) -> str:
         if before != after:
             return f"line {number} is {before.decode(errors='replace')!r}, now {after.decode(errors='replace')!r}"
     return "one is longer than the other, or its line ends differ"
+
+
+if __name__ == "__main__":
+    for package in regenerate(sys.argv[1] if len(sys.argv) > 1 else committed_folder()):
+        print(package)

@@ -410,16 +410,19 @@ static int double_pendulum_energy_f32_finite(const float *x, int n)
     return double_pendulum_energy_f32_largest(x, n) < UINT32_C(0x7f800000);
 }
 
-/* Whether every pivot of Q is above its rounding noise. */
-static int double_pendulum_energy_f32_regular(const float *pivot, const float *scale, int n)
+/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+static int double_pendulum_energy_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
     for (k = 0; k < n; ++k) {
+        if (!double_pendulum_energy_f32_finite(pivot + k, 1)) {
+            return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
+        }
         if (!(pivot[k] > 2.3841858e-7f * scale[k])) {
-            return 0;
+            return DOUBLE_PENDULUM_ENERGY_F32_SINGULAR_MASS;
         }
     }
-    return 1;
+    return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
 /* No NaN and no infinity among the inputs. */
@@ -513,15 +516,14 @@ static void double_pendulum_energy_f32_eval_S(const double_pendulum_energy_f32_m
 static int double_pendulum_energy_f32_checked_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
     float mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
     }
     double_pendulum_energy_f32_eval_S(model, in, S, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_f32_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_f32_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_SINGULAR_MASS;
+    status = double_pendulum_energy_f32_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_f32_finite(S, 2)) {
         return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
@@ -618,15 +620,14 @@ static void double_pendulum_energy_f32_eval_z(const double_pendulum_energy_f32_m
 static int double_pendulum_energy_f32_checked_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
 {
     float mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
     }
     double_pendulum_energy_f32_eval_z(model, in, z, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_f32_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_f32_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_SINGULAR_MASS;
+    status = double_pendulum_energy_f32_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_f32_finite(z, 1)) {
         return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
@@ -727,15 +728,14 @@ static void double_pendulum_energy_f32_eval_S_z(const double_pendulum_energy_f32
 static int double_pendulum_energy_f32_checked_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
 {
     float mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
     }
     double_pendulum_energy_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_f32_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_f32_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_SINGULAR_MASS;
+    status = double_pendulum_energy_f32_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_f32_finite(S, 2)) {
         return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
@@ -750,6 +750,7 @@ int double_pendulum_energy_f32_prepare(const double_pendulum_energy_f32_params *
 {
     double_pendulum_energy_f32_model ready;
     float mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_f32_finite(&params->m_B, 1)) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
     }
@@ -792,11 +793,9 @@ int double_pendulum_energy_f32_prepare(const double_pendulum_energy_f32_params *
         mass_pivot[0] = t2;
         mass_scale[0] = t2;
     }
-    if (!double_pendulum_energy_f32_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_f32_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_SINGULAR_MASS;
+    status = double_pendulum_energy_f32_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_f32_finite(&ready.R, 1)) {
         return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;

@@ -410,16 +410,19 @@ static int double_pendulum_energy_finite(const double *x, int n)
     return double_pendulum_energy_largest(x, n) < UINT64_C(0x7ff0000000000000);
 }
 
-/* Whether every pivot of Q is above its rounding noise. */
-static int double_pendulum_energy_regular(const double *pivot, const double *scale, int n)
+/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+static int double_pendulum_energy_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
     for (k = 0; k < n; ++k) {
+        if (!double_pendulum_energy_finite(pivot + k, 1)) {
+            return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
+        }
         if (!(pivot[k] > 4.440892098500626e-16 * scale[k])) {
-            return 0;
+            return DOUBLE_PENDULUM_ENERGY_SINGULAR_MASS;
         }
     }
-    return 1;
+    return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
 /* No NaN and no infinity among the inputs. */
@@ -513,15 +516,14 @@ static void double_pendulum_energy_eval_S(const double_pendulum_energy_model *mo
 static int double_pendulum_energy_checked_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
     double mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
     }
     double_pendulum_energy_eval_S(model, in, S, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
-    }
-    if (!double_pendulum_energy_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_SINGULAR_MASS;
+    status = double_pendulum_energy_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_finite(S, 2)) {
         return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
@@ -618,15 +620,14 @@ static void double_pendulum_energy_eval_z(const double_pendulum_energy_model *mo
 static int double_pendulum_energy_checked_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
     double mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
     }
     double_pendulum_energy_eval_z(model, in, z, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
-    }
-    if (!double_pendulum_energy_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_SINGULAR_MASS;
+    status = double_pendulum_energy_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_finite(z, 1)) {
         return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
@@ -727,15 +728,14 @@ static void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *
 static int double_pendulum_energy_checked_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
     double mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
     }
     double_pendulum_energy_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    if (!double_pendulum_energy_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
-    }
-    if (!double_pendulum_energy_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_SINGULAR_MASS;
+    status = double_pendulum_energy_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_finite(S, 2)) {
         return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
@@ -750,6 +750,7 @@ int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, 
 {
     double_pendulum_energy_model ready;
     double mass_pivot[1], mass_scale[1];
+    int status;
     if (!double_pendulum_energy_finite(&params->m_B, 1)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
     }
@@ -792,11 +793,9 @@ int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, 
         mass_pivot[0] = t2;
         mass_scale[0] = t2;
     }
-    if (!double_pendulum_energy_finite(mass_pivot, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
-    }
-    if (!double_pendulum_energy_regular(mass_pivot, mass_scale, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_SINGULAR_MASS;
+    status = double_pendulum_energy_mass_status(mass_pivot, mass_scale, 1);
+    if (status < 0) {
+        return status;
     }
     if (!double_pendulum_energy_finite(&ready.R, 1)) {
         return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
