@@ -23,7 +23,6 @@ Pass = Callable[[Program, Objective], Program]
 
 SEARCH: tuple[tuple[str, Pass], ...] = (
     ("value numbering", lambda program, _: number_values(program)),
-    ("value numbering, earliest form", lambda program, _: number_values(program, earliest=True)),
     ("shared reciprocals", lambda program, _: share_reciprocals(program)),
     ("Horner form", horner),
     ("factoring", lambda program, _: factor(program)),
@@ -32,8 +31,8 @@ SEARCH: tuple[tuple[str, Pass], ...] = (
 )
 
 _ROUNDS = 8
-_PATIENCE = 2  # a pass that gained nothing so often in a row is left out
-_WORTHWHILE = 5e-4  # a round that gains less, relative to the cost, is the last
+_PATIENCE = 2  # a pass that gained too little so often in a row is left out
+_WORTHWHILE = 1e-3  # of the cost: a round that gains less is the last
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def search(
                 continue
             cost = objective.cost(best)
             best, step = _attempt(best, name, run, objective, accuracy)
-            idle[name] = idle[name] + 1 if objective.cost(best) == cost else 0
+            idle[name] = 0 if objective.cost(best) < cost * (1 - _WORTHWHILE) else idle[name] + 1
             steps.append(step)
         if objective.cost(best) > before * (1 - _WORTHWHILE):
             break
