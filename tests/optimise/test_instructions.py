@@ -96,9 +96,6 @@ def casadi_c(scene: sg.Scene, folder: Path) -> None:
     expressions = list(user.expressions(scene).values())[:2]
     symbols = [symbol for _, symbol in user.arguments(scene)]
     function = ca.Function("theirs", symbols, ca.cse([expressions[0].T, expressions[1]]))
-    print(
-        f"CasADi: {function.n_instructions() - sum(s.numel() for s in symbols) - scene.rows * (1 + scene.controls)} operations"
-    )
     generator = ca.CodeGenerator("theirs")
     generator.add(function)
     generator.generate(f"{folder}/")
