@@ -1,6 +1,6 @@
 """The search for the cheapest program: the passes in the order that works, the best program kept.
 
-A new pass is one more entry in SEARCH. passes.py simplifies before and after each.
+A new pass is one more entry in SEARCH and its place in ORDERS. passes.py simplifies before and after each.
 """
 
 from collections import Counter
@@ -21,19 +21,26 @@ from servogen.optimise.value_numbering import number_values
 
 Pass = Callable[[Program, Objective], Program]
 
-SEARCH: tuple[tuple[str, Pass], ...] = (
-    ("value numbering", lambda program, _: number_values(program)),
-    ("value numbering, earliest form", lambda program, _: number_values(program, earliest=True)),
-    ("shared reciprocals", lambda program, _: share_reciprocals(program)),
-    ("Horner form", horner),
-    ("factoring", lambda program, _: factor(program)),
-    ("shared pairs", lambda program, _: share_pairs(program)),
-    ("resubstitution", resubstitute),
-)
+SEARCH: dict[str, Pass] = {
+    "value numbering": lambda program, _: number_values(program),
+    "shared reciprocals": lambda program, _: share_reciprocals(program),
+    "factoring": lambda program, _: factor(program),
+    "shared pairs": lambda program, _: share_pairs(program),
+    "Horner form": horner,
+    "resubstitution": resubstitute,
+}
 
+_FIRST, _SECOND = "value numbering", "shared reciprocals"
+ORDERS: tuple[tuple[str, ...], ...] = (
+    (_FIRST, _SECOND, "factoring", "shared pairs", "Horner form", "resubstitution"),
+    (_FIRST, _SECOND, "factoring", "resubstitution", "Horner form", "shared pairs"),
+)
+"""Passes are greedy, so their order matters; small programs try all of these, large ones the first."""
+
+_SMALL = 600  # operations at tick of a small program
 _ROUNDS = 8
-_PATIENCE = 2  # a pass that gained nothing so often in a row is left out
-_WORTHWHILE = 5e-4  # a round that gains less, relative to the cost, is the last
+_PATIENCE = 2  # a pass that gained too little so often in a row is left out
+_WORTHWHILE = 1e-3  # of the cost: a round that gains less is the last
 
 
 @dataclass(frozen=True)
@@ -74,28 +81,34 @@ def search(
     minor: outputs that count less. without: passes to leave out, by name.
     """
     objective = Objective(minor)
-    best = optimise(program)
-    accuracy = Accuracy.of(best, states)
+    start = optimise(program)
+    accuracy = Accuracy.of(start, states)
+    orders = ORDERS if tick_operations(start) <= _SMALL else ORDERS[:1]
+    found = [_in_order(start, [n for n in order if n not in without], objective, accuracy) for order in orders]
+    return min(found, key=lambda done: objective.cost(done.program))
+
+
+def _in_order(best: Program, order: list[str], objective: Objective, accuracy: Accuracy) -> Optimised:
+    """The passes of one order in turn, round after round."""
     steps: list[Step] = []
     idle: Counter[str] = Counter()
     for _ in range(_ROUNDS):
         before = objective.cost(best)
-        for name, run in SEARCH:
-            if name in without or idle[name] >= _PATIENCE:
-                continue
-            cost = objective.cost(best)
-            best, step = _attempt(best, name, run, objective, accuracy)
-            idle[name] = idle[name] + 1 if objective.cost(best) == cost else 0
-            steps.append(step)
+        for name in order:
+            if idle[name] < _PATIENCE:
+                cost = objective.cost(best)
+                best, step = _attempt(best, name, objective, accuracy)
+                idle[name] = 0 if objective.cost(best) < cost * (1 - _WORTHWHILE) else idle[name] + 1
+                steps.append(step)
         if objective.cost(best) > before * (1 - _WORTHWHILE):
             break
     return Optimised(best, tuple(steps))
 
 
-def _attempt(best: Program, name: str, run: Pass, objective: Objective, accuracy: Accuracy) -> tuple[Program, Step]:
+def _attempt(best: Program, name: str, objective: Objective, accuracy: Accuracy) -> tuple[Program, Step]:
     """The outcome of one pass where it is cheaper and accurate enough, else the program as it was."""
     operations = tick_operations(best)
-    found = optimise(check_legal(run(best, objective)))
+    found = optimise(check_legal(SEARCH[name](best, objective)))
     if objective.cost(found) >= objective.cost(best):
         return best, Step(name, operations, operations)
     worse = accuracy.worse(found)

@@ -24,19 +24,19 @@ Class = tuple[Residue, int]
 """Equal up to sign, with the same hazards."""
 
 
-def number_values(program: Program, earliest: bool = False) -> Program:
-    """Each value once, in its cheapest form (or `earliest`: the one defined first); the outputs are the same functions.
+def number_values(program: Program) -> Program:
+    """Each value once, in its cheapest form; the outputs are the same functions.
 
     Correct but for a chance below FALSE_EQUALITY. No output gains a division or a partial function it did not have.
     """
     fingerprints = Fingerprints(program)
     if fingerprints.false_equality(len(program.instrs)) >= FALSE_EQUALITY:
         return program
-    return _Numbering(program, fingerprints, earliest).rewritten()
+    return _Numbering(program, fingerprints).rewritten()
 
 
 class _Numbering:
-    def __init__(self, program: Program, fingerprints: Fingerprints, earliest: bool) -> None:
+    def __init__(self, program: Program, fingerprints: Fingerprints) -> None:
         self.program, self.values = program, fingerprints.values
         self.masks = Hazards(program, fingerprints).masks
         self.early = depends_on_parameters_alone(program)
@@ -56,10 +56,7 @@ class _Numbering:
             for key, masks in by_value.items()
             for mask in masks
         }
-        self.choice = self._first() if earliest else self._cheapest()
-
-    def _first(self) -> dict[Class, int]:
-        return {c: min(self.members[d][0] for d in self.lesser[c]) for c in self.members}
+        self.choice = self._cheapest()
 
     def _cheapest(self) -> dict[Class, int]:
         """The member with the cheapest tree, for every class; costs grow along every edge, so no choice is circular."""
