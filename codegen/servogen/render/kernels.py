@@ -40,7 +40,8 @@ def statements(code: Kernel | Prepare, scalar: str, own: str = "") -> tuple[list
             lines.append(f"const {own}_pair t{len(lines)} = {own}_sincos({operands[0]});")
         else:
             expression = f"t{len(lines)}"
-            value = f"{own}_{instr.op}({operands[0]})" if own and instr.op in OWN_OPS else OPS[instr.op].c.format(*operands, f=suffix, real=real)
+            form = f"{own}_{instr.op}({{0}})" if own and instr.op in OWN_OPS else OPS[instr.op].c
+            value = form.format(*operands, f=suffix, real=real)
             lines.append(f"const {real} {expression} = {value};")
         text.append(expression)
     return lines, {o.name: [text[n] for n in o.nodes] for o in program.outputs}
