@@ -18,8 +18,12 @@ BOARDS = [name for name in targets() if name != "host"]
 @click.argument("scenes", nargs=-1, metavar="SCENE...")
 @click.option("--all", "every", is_flag=True, help="All built-in scenes.")
 @click.option("--target", "boards", type=click.Choice(BOARDS), multiple=True, help="A board; default cortex-m4.")
-@click.option("--budget", "file", type=click.Path(dir_okay=False, path_type=Path),
-              help="The budgets; default budget.toml beside each scene.")  # fmt: skip
+@click.option(
+    "--budget",
+    "file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The budgets; default budget.toml beside each scene.",
+)
 @click.option("--accept", is_flag=True, help="Write the measured figures into the budget.")
 @json_option
 def certify_command(
@@ -58,11 +62,15 @@ def show(found: list[Certificate], problems: list[str]) -> None:
         [(c.scene, c.scalar, c.target, c.flash, c.library, c.ram, c.stack) for c in found],
         right=(3, 4, 5, 6),
     )
+    rows = [
+        (c.scene, c.scalar, c.target, e.name, e.instructions, e.instructions_mean, e.stack, f"{e.ulps:.3g}")
+        for c in found
+        for e in c.entries
+    ]
     table(
-        "Instructions of one call, the worst and the mean over the states (the emulator counts instructions, not cycles)",
+        "Instructions of one call, the worst and the mean over the states; they are not cycles",
         ("scene", "scalar", "board", "function", "worst", "mean", "stack", "ulps"),
-        [(c.scene, c.scalar, c.target, e.name, e.instructions, e.instructions_mean, e.stack, f"{e.ulps:.3g}")
-         for c in found for e in c.entries],  # fmt: skip
+        rows,
         right=(4, 5, 6, 7),
     )
     for text in problems:

@@ -17,10 +17,14 @@ from servogen.verify.truth import BAR
 @click.argument("scenes", nargs=-1, metavar="SCENE...")
 @click.option("--all", "every", is_flag=True, help="All built-in scenes.")
 @click.option("--target", type=click.Choice(targets()), default="host", show_default=True, help="Where the C runs.")
-@click.option("--states", type=click.IntRange(1), help=f"States drawn a scene; default {STATES}, fewer on small boards.")
+@click.option(
+    "--states", type=click.IntRange(1), help=f"States drawn a scene; default {STATES}, fewer on small boards."
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the states drawn.")
 @json_option
-def check_command(scenes: tuple[str, ...], every: bool, target: str, states: int | None, seed: int, as_json: bool) -> None:
+def check_command(
+    scenes: tuple[str, ...], every: bool, target: str, states: int | None, seed: int, as_json: bool
+) -> None:
     """Cross-check the generated C of SCENE... in float64 and float32 against reference and truth.
 
     On the host gcc and clang build it; on a board it runs in the emulator and is also compared with the host.

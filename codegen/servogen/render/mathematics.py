@@ -100,8 +100,9 @@ def math_context(scalar: str) -> dict[str, Any]:
     clear = (1 << shape.split) - 1
     top = _number(_bits(half_pi, scalar) & ~clear, scalar)
     words = two_over_pi_words(scalar)
+    width = 64 if scalar == "float64" else 32
     return {
-        "bits": 64 if scalar == "float64" else 32,
+        "bits": width,
         "sine": [lit(-c) for c in SINE[scalar]],  # of r - sin(r)
         "cosine": [lit(c) for c in COSINE[scalar]],
         "short": [lit(c) for c in pi_parts(scalar, 2 if scalar == "float64" else 3)],
@@ -119,7 +120,7 @@ def math_context(scalar: str) -> dict[str, Any]:
         "half_pi_top": lit(top),
         "half_pi_rest": lit(half_pi - top),
         "half_pi_low": lit(_half_pi() - Fraction(half_pi)),
-        "halve": f"UINT{'64' if scalar == 'float64' else '32'}_C(0x{~clear & (2 ** (64 if scalar == 'float64' else 32) - 1):x})",
+        "halve": _unsigned(~clear & ((1 << width) - 1), scalar),
         "polynomial_error": " and ".join(f"2^{math.log2(e):.1f}" for e in POLYNOMIAL_ERROR[scalar]),
         "one": lit(1.0),
         "half": lit(0.5),
@@ -132,7 +133,7 @@ def math_context(scalar: str) -> dict[str, Any]:
 def _half_pi() -> Fraction:
     """pi/2 to 1500 bits."""
     with mp.workprec(1500):
-        sign, mantissa, exponent, _ = (mp.pi / 2)._mpf_
+        _, mantissa, exponent, _ = (mp.pi / 2)._mpf_
     return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 
 
@@ -148,5 +149,8 @@ def _number(bits: int, scalar: str) -> float:
 
 def _hex(value: float, scalar: str) -> str:
     """The bits of a number as an unsigned C constant."""
-    bits = _bits(value, scalar)
+    return _unsigned(_bits(value, scalar), scalar)
+
+
+def _unsigned(bits: int, scalar: str) -> str:
     return f"UINT64_C(0x{bits:016x})" if scalar == "float64" else f"UINT32_C(0x{bits:08x})"

@@ -53,7 +53,7 @@ def high() -> Any:
 
 
 def minimax(target: Function, weight: Function, terms: int, top: Any, rounds: int = 12) -> list[Any]:
-    """The polynomial of `terms` coefficients (lowest first) with the least largest |weight (p - target)| on (0, top]."""
+    """The polynomial of `terms` coefficients, lowest first, of least largest |weight (p - target)| on (0, top]."""
     points = [top / 2 * (1 - mp.cos(mp.pi * (2 * k + 1) / (2 * terms + 2))) for k in range(terms + 1)]
     grid = [top / 2 * (1 - mp.cos(mp.pi * (k + 1) / GRID)) for k in range(GRID)]
     exact = [(z, target(z), weight(z)) for z in grid]

@@ -223,7 +223,16 @@ def read_log(
     if problems and (complaint := _complaint(log, exit_code)):
         problems.append(f"the run ended with exit code {exit_code}: {complaint}")
     return HarnessResult(
-        vectors.prefix, target, preset, tuple(outputs), tuple(problems), exit_code, log, image, _dumps(lines), _costs(lines)
+        vectors.prefix,
+        target,
+        preset,
+        tuple(outputs),
+        tuple(problems),
+        exit_code,
+        log,
+        image,
+        _dumps(lines),
+        _costs(lines),
     )
 
 

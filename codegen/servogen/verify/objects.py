@@ -21,6 +21,7 @@ _EDGE = re.compile(r'edge: \{ sourcename: "(?P<source>[^"]*)" targetname: "(?P<t
 _FRAME = re.compile(r"(\d+) bytes \((static|dynamic|dynamic,bounded)\)")
 _LABEL = re.compile(r"^([0-9a-f]+) <([^>]+)>:$")
 _LINE = re.compile(r"^\s+[0-9a-f]+:\t((?:[0-9a-f]{4} ?)+)\s*\t(\S+)\s*(.*)$")
+_JUMPS = {"b", "cbz", "cbnz"} | {f"b{c}" for c in "eq ne cs cc mi pl vs vc hi ls ge lt gt le".split()}
 _ENDS = re.compile(r"^(b|b\.n|b\.w|bx|udf)$")
 
 
@@ -39,7 +40,7 @@ class Function:
 
 @dataclass(frozen=True)
 class Compiled:
-    """A package's object: the file, its call graph, the compiler (program and version) and the flags it was built with."""
+    """A package's object: the file, its call graph, the compiler (program and version) and the flags it took."""
 
     object: Path
     graph: Mapping[str, Function]
@@ -126,17 +127,16 @@ def library_graph(objdump: str, nm: str, image: Path) -> dict[str, Function]:
         if kind in "tTwW" and not name.startswith("$"):
             names.setdefault(int(address, 16), []).append(name)
     functions: dict[str, Function] = {}
-    joined: dict[str, str] = {}
+    joined: list[tuple[str, str]] = []
     current, open_end = "", False
     for line in run([objdump, "-d", image]).splitlines():
         if label := _LABEL.match(line):
             if open_end:
-                joined[label[2]] = current
+                joined.append((label[2], current))
             current = label[2]
             functions[current] = Function(0)
             for alias in names.get(int(label[1], 16), []):
-                if alias != current:
-                    joined[alias] = current
+                joined.append((alias, current))
             open_end = False
         elif current and (found := _LINE.match(line)):
             mnemonic, operands = found[2], found[3]
@@ -230,7 +230,7 @@ def _registers(part: str) -> int:
     return numbers[1] - numbers[0] + 1 if "-" in part else 1
 
 
-def _follow(function: Function, name: str, mnemonic: str, operands: str, joined: dict[str, str]) -> None:
+def _follow(function: Function, name: str, mnemonic: str, operands: str, joined: list[tuple[str, str]]) -> None:
     """Note where a call or a jump goes."""
     target = re.search(r"<([^>+]+)(\+0x[0-9a-f]+)?>", operands)
     base = mnemonic.split(".")[0]
@@ -238,20 +238,21 @@ def _follow(function: Function, name: str, mnemonic: str, operands: str, joined:
         function.calls.add("a call through a pointer")
     elif base in ("bl", "blx") and target:
         function.calls.add(target[1])
-    elif target and target[1] != name and re.match(r"^(b|cbz|cbnz|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le))$", base):
-        joined.setdefault(name, target[1]) if name not in joined else joined.setdefault(target[1], name)
+    elif target and target[1] != name and base in _JUMPS:
+        joined.append((name, target[1]))
 
 
-def _merge(functions: Mapping[str, Function], joined: Mapping[str, str]) -> dict[str, Function]:
+def _merge(functions: Mapping[str, Function], joined: Iterable[tuple[str, str]]) -> dict[str, Function]:
     """Names joined by jumps become one function; each of its names finds it."""
-    group = {name: name for name in [*functions, *joined, *joined.values()]}
+    joined = list(joined)
+    group = {name: name for name in [*functions, *(n for pair in joined for n in pair)]}
 
     def head(name: str) -> str:
         while group[name] != name:
             name = group[name]
         return name
 
-    for a, b in joined.items():
+    for a, b in joined:
         group[head(a)] = head(b)
     merged: dict[str, Function] = {}
     for name, function in functions.items():
