@@ -32,16 +32,17 @@ ODD = """<robot name="odd">
   <joint name="j2" type="prismatic"><parent link="a"/><child link="b"/>
     <origin xyz="0 0.3 0.1" rpy="1.57079632679 0 0.5"/><axis xyz="0 -1 0"/></joint>
   <joint name="j3" type="revolute"><parent link="b"/><child link="dummy"/>
-    <origin xyz="0.2 0 0.1" rpy="0 -1.5708 0"/><axis xyz="0 0 -1"/></joint>
+    <origin xyz="0.2 0 0.1" rpy="0 -1.57079632679 0"/><axis xyz="0 0 -1"/></joint>
   <joint name="j4" type="revolute"><parent link="dummy"/><child link="c"/>
     <origin xyz="0.3 0.1 0"/><axis xyz="0 0 2"/></joint>
   <joint name="j5" type="prismatic"><parent link="c"/><child link="d"/>
     <origin xyz="0 0 0.2" rpy="0.4 0 0"/><axis xyz="0.6 0 0.8"/></joint>
   <joint name="spin" type="continuous"><parent link="a"/><child link="wheel"/>
     <origin xyz="-0.2 0.1 0" rpy="0.1 0 0"/><axis xyz="0 1 0"/></joint>
-  <joint name="mount" type="fixed"><parent link="d"/><child link="tool"/><origin xyz="0.1 0.2 0.3" rpy="0.5 1 2"/></joint>
+  <joint name="mount" type="fixed"><parent link="d"/><child link="tool"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.5 1 2"/></joint>
 </robot>
-""".replace("-1.5708", "-1.57079632679")
+"""
 
 
 def draw_state(robot: sg.urdf.Robot, generator: np.random.Generator) -> tuple[Any, Any, Any]:

@@ -66,7 +66,7 @@ def test_locking_is_the_remedy(tmp_path: Path) -> None:
 
 
 def test_bad_path() -> None:
-    with pytest.raises(sg.SceneError, match="no URDF file at 'nowhere.urdf'"):
+    with pytest.raises(sg.SceneError, match=r"no URDF file at 'nowhere\.urdf'"):
         sg.urdf.load("nowhere.urdf")
 
 

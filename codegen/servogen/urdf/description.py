@@ -141,7 +141,7 @@ def _root(source: str, links: dict[str, Inertia | None], joints: tuple[Joint, ..
         if joint.child in parent_joint:
             other = parent_joint[joint.child].name
             raise SceneError(
-                f"{source}: link {joint.child!r} is the child of two joints, {other!r} and {joint.name!r}, which closes "
+                f"{source}: link {joint.child!r} is the child of two joints, {other!r} and {joint.name!r}: "
                 "a loop; cut it, and write the closure as a constraint"
             )
         parent_joint[joint.child] = joint
