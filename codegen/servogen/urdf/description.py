@@ -39,7 +39,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """links: name -> inertia about the link's frame, None where the file gives none. root: the link without a parent."""
+    """links: name -> inertia about the link's frame, None where there is none. root: the link without a parent."""
 
     source: str
     links: dict[str, Inertia | None]
@@ -137,11 +137,11 @@ def _root(source: str, links: dict[str, Inertia | None], joints: tuple[Joint, ..
     for joint in joints:
         for end, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                raise SceneError(f"{source}: joint {joint.name!r} has the {end} {link!r}, but there is no such link; add it")
+                raise SceneError(f"{source}: joint {joint.name!r} has the {end} {link!r}, no such link; add it")
         if joint.child in parent_joint:
             other = parent_joint[joint.child].name
             raise SceneError(
-                f"{source}: link {joint.child!r} is the child of two joints, {other!r} and {joint.name!r}, which closes "
+                f"{source}: link {joint.child!r} is the child of two joints, {other!r} and {joint.name!r}: "
                 "a loop; cut it, and write the closure as a constraint"
             )
         parent_joint[joint.child] = joint
@@ -151,11 +151,11 @@ def _root(source: str, links: dict[str, Inertia | None], joints: tuple[Joint, ..
         while seen[-1] in parent_joint:
             seen.append(parent_joint[seen[-1]].parent)
             if seen[-1] in seen[:-1]:
-                raise SceneError(f"{source}: the links {', '.join(seen)} form a loop; cut one of the joints between them")
+                raise SceneError(
+                    f"{source}: the links {', '.join(seen)} form a loop; cut one of the joints between them"
+                )
     if not roots:
         raise SceneError(f"{source} has no links; give a robot")
     if len(roots) > 1:
         raise SceneError(f"{source} has several links without a parent ({', '.join(roots)}); join them by fixed joints")
     return roots[0]
-
-

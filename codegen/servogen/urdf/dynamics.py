@@ -124,9 +124,7 @@ def _turned_about_axis(here: Link, s: Mat) -> Mat:
     c, sn = here.cosine, here.sine
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = s
     shared = c * (xx - yy) - sn * (2 * xy)
-    return symmetric(
-        yy + c * shared, xx - c * shared, zz, xy + sn * shared, c * xz - sn * yz, sn * xz + c * yz
-    )
+    return symmetric(yy + c * shared, xx - c * shared, zz, xy + sn * shared, c * xz - sn * yz, sn * xz + c * yz)
 
 
 def mass_matrix(
@@ -187,5 +185,3 @@ def _spin_rates(links: list[Link], k: int, base: int) -> list[tuple[int, Any]]:
     here = links[k - 1]
     entries = _along_the_path(links, here.body.parent, NOWHERE, here.axis, base)
     return [(base + k - 1, 1.0), *((i, a) for i, a in entries if not ca.SX(a).is_zero())]
-
-

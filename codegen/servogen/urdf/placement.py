@@ -96,5 +96,3 @@ def frame_axes(axes: list[Mat], frame: Frame) -> Mat:
     rows = number_rows(frame.rotation)
     columns = [combine(axes[frame.body], (rows[0][j], rows[1][j], rows[2][j])) for j in range(3)]
     return columns[0], columns[1], columns[2]
-
-

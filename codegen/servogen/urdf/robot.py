@@ -1,5 +1,6 @@
 """A robot as CasADi SX: its mechanism, and the kinematics of its links."""
 
+import sys
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ from servogen.urdf import dynamics, placement
 from servogen.urdf.base import FLOATING_Q, FLOATING_U, fixed_base, floating_base, rate_map
 from servogen.urdf.description import read
 from servogen.urdf.frames import align, slide
-from servogen.urdf.motion import Link, Motion, link, motions
+from servogen.urdf.motion import Motion, link, motions
 from servogen.urdf.regroup import regroup
 from servogen.urdf.tree import Frame, Tree, build
 from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
@@ -229,7 +230,7 @@ def load(
 
     base: "fixed" (the root link is the world) or "floating". gravity: in the world, m/s^2.
     joints: the actuated joints to keep, in the order of q; all others are locked at zero. None: all, in tree order.
-    quiet: do not print which angles were taken as exact quarter turns (they stay in `notes`).
+    quiet: do not print (to stderr) which angles were taken as exact quarter turns (they stay in `notes`).
     Raises SceneError for a file that cannot be read, unsupported joints, loops, joints that move no mass.
     """
     if base not in ("fixed", "floating"):
@@ -242,8 +243,6 @@ def load(
     moving = [body.joint for body in tree.bodies[1:]]
     if not quiet:
         for note in description.notes:
-            print(f"{description.source}: {note}")
+            print(f"{description.source}: {note}", file=sys.stderr)
     return Robot(tree, moving if joints is None else joints, base == "floating", (down[0], down[1], down[2]),
                  description.notes)  # fmt: skip
-
-

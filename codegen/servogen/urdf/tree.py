@@ -78,10 +78,7 @@ def _moving(description: Description, joints: Sequence[str] | None) -> set[str]:
     known = {joint.name: joint for joint in description.joints}
     if isinstance(joints, str):
         raise SceneError(f"joints={joints!r}: give a list of joint names")
-    if joints is None:
-        chosen = [joint.name for joint in description.joints if joint.kind != "fixed"]
-    else:
-        chosen = list(joints)
+    chosen = [joint.name for joint in description.joints if joint.kind != "fixed"] if joints is None else list(joints)
     for name in chosen:
         if name not in known:
             movable = ", ".join(joint.name for joint in description.joints if joint.kind in MOVING)

@@ -57,7 +57,9 @@ def product_transposed(m: Mat, a: Vec) -> Vec:
 def turned(m: Mat, s: Mat) -> Mat:
     """m s m^T for a symmetric s; the result holds each pair of equal entries once."""
     rows = [product(m, (s[0][j], s[1][j], s[2][j])) for j in range(3)]  # columns of m s
-    entry = [[inner(m[j], (rows[0][i], rows[1][i], rows[2][i])) if i <= j else None for j in range(3)] for i in range(3)]
+    entry = [
+        [inner(m[j], (rows[0][i], rows[1][i], rows[2][i])) if i <= j else None for j in range(3)] for i in range(3)
+    ]
     return symmetric(entry[0][0], entry[1][1], entry[2][2], entry[0][1], entry[0][2], entry[1][2])
 
 

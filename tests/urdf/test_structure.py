@@ -1,0 +1,67 @@
+"""What the recursions save, and how a robot is read: locked joints, order, quarter turns, operation counts."""
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import servogen as sg
+from servogen.derive.lower import lower
+from servogen.derive.servo import derive_servo
+from servogen.optimise.passes import optimise
+from servogen.plan.stage import cut, stage
+from support.robots import A1, IIWA, IIWA_TOOL
+
+
+def test_operations_of_the_iiwa() -> None:
+    """S and z with constant gains and a reference without rates; adam-robotics through CasADi's cse takes 6,313."""
+    robot = sg.urdf.load(IIWA, quiet=True)
+    ref = sg.References(r=[0.5, 0.0, 0.6])
+    psi = robot.position(IIWA_TOOL) - ref.r
+    scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
+    tick = stage(optimise(lower(derive_servo(scene)))).tick
+    assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1115
+
+
+def test_a_rotor_costs_no_sine() -> None:
+    robot = sg.urdf.load(IIWA, quiet=True)
+    assert not ca.depends_on(ca.vertcat(ca.vec(robot.mechanism.Q), robot.mechanism.P), robot.q[6])
+
+
+def test_locked_joints_are_joints_at_zero() -> None:
+    whole, part = sg.urdf.load(A1, quiet=True), sg.urdf.load(A1, joints=["FL_lower_joint", "FL_hip_joint"], quiet=True)
+    places = [whole.joints.index(name) for name in part.joints]
+    assert part.joints == ("FL_lower_joint", "FL_hip_joint")
+    q, u = np.zeros(12), np.zeros(12)
+    q[places], u[places] = (0.3, -0.7), (1.1, 0.4)
+    outputs = [(r.mechanism.Q, r.mechanism.P, r.position("FL_toe"), r.center_of_mass()) for r in (whole, part)]
+    a = [np.array(x) for x in ca.Function("whole", [whole.q, whole.u], outputs[0])(q, u)]
+    b = [np.array(x) for x in ca.Function("part", [part.q, part.u], outputs[1])(q[places], u[places])]
+    for x, y in zip((a[0][np.ix_(places, places)], a[1][places], a[2], a[3]), b, strict=True):
+        np.testing.assert_allclose(y, x, atol=1e-13)
+
+
+def test_quarter_turns_are_exact_and_told(capsys: Any) -> None:
+    robot = sg.urdf.load(IIWA)
+    assert any("1.57079632679 is taken as exactly 1 quarter turn" in note for note in robot.notes)
+    assert capsys.readouterr().err.count("quarter turn") == len(robot.notes)
+    home = np.array(ca.Function("R", [robot.q], [robot.rotation(IIWA_TOOL)])(np.zeros(7)))
+    assert set(np.abs(home).ravel()) <= {0.0, 1.0}
+
+
+def test_floating_base_conventions() -> None:
+    robot = sg.urdf.load(A1, base="floating", quiet=True)
+    mech = robot.mechanism
+    assert (mech.q.size1(), mech.u.size1(), mech.tau.size1()) == (19, 18, 12)
+    assert [s.name() for s in mech.q.nonzeros()][3:7] == ["base_qw", "base_qx", "base_qy", "base_qz"]
+    assert mech.G[:6, :].nnz() == 0
+    home = np.zeros(19)
+    home[3] = 1.0
+    weight = np.array(ca.Function("P", [robot.q, robot.u], [mech.P])(home, np.zeros(18))).ravel()
+    mass = float(ca.Function("Q", [robot.q], [mech.Q])(home)[0, 0])
+    np.testing.assert_allclose(weight[:3], [0, 0, -9.81 * mass], atol=1e-12)
+
+
+def test_same_file_same_expressions(tmp_path: Path) -> None:
+    texts = [str(sg.urdf.load(path, quiet=True).mechanism.P) for path in (IIWA, IIWA)]
+    assert texts[0] == texts[1]
