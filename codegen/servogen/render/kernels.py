@@ -75,9 +75,13 @@ class _Printer:
         if instr.const is not None:
             struct, size = self.sizes[instr.const[0]]
             return f"{struct}->{instr.const[0]}" + (f"[{instr.const[1]}]" if size > 1 else "")
-        return f"(-{self.text[instr.args[0]]})" if instr.op == "neg" else None
+        return _negative(self.text[instr.args[0]]) if instr.op == "neg" else None
 
     def expression(self, k: int) -> str:
         """What stands for an instruction, its operand's text taken as it is now."""
         instr = self.program.instrs[k]
-        return f"(-{self.expression(instr.args[0])})" if instr.op == "neg" else self.text[k]
+        return _negative(self.expression(instr.args[0])) if instr.op == "neg" else self.text[k]
+
+
+def _negative(text: str) -> str:
+    return f"(-({text}))" if text.startswith("-") else f"(-{text})"  # a literal may be negative
