@@ -27,6 +27,7 @@ def test_three_instructions_a_turn(board, sample, need_target, tmp_path):
         entries = tuple(e for e in given.entries if e.name == "z")
         vectors[prefix] = dataclasses.replace(given, entries=entries)
     results = run_harness([plain, longer], vectors, target=board, build_dir=tmp_path / "build", measure=True)
+    assert [r.problems for r in results] == [(), ()]
     costs = [r.costs["z"].worst for r in results]
     assert abs(costs[1] - costs[0] - 3 * LOOP) < 0.001 * 3 * LOOP
 

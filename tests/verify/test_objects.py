@@ -31,9 +31,11 @@ __attribute__((noinline)) int pointer(int (*f)(int), int x) { return f(x) + 1; }
 
 def test_stack_by_hand():
     graph = {"a": Function(16, calls={"b", "c"}), "b": Function(100), "c": Function(40, calls={"memcpy"})}
-    assert stack("a", graph, {"memcpy": Function(80)}) == (136, ("a", "c", "memcpy"))
+    assert stack("a", graph, {"memcpy": Function(80, code=20)}) == (136, ("a", "c", "memcpy"))
     with pytest.raises(StackUnknownError, match="memcpy, called by c: its frame is not known"):
         stack("a", graph, {})
+    with pytest.raises(StackUnknownError, match="memcpy: it was not disassembled"):
+        stack("a", graph, {"memcpy": Function(0)})
     with pytest.raises(StackUnknownError, match="recursion: a -> b -> a"):
         stack("a", {"a": Function(8, calls={"b"}), "b": Function(8, calls={"a"})}, {})
 

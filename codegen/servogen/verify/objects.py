@@ -20,7 +20,7 @@ _NODE = re.compile(r'node: \{ title: "(?P<title>[^"]*)" label: "(?P<label>[^"]*)
 _EDGE = re.compile(r'edge: \{ sourcename: "(?P<source>[^"]*)" targetname: "(?P<target>[^"]*)"')
 _FRAME = re.compile(r"(\d+) bytes \((static|dynamic|dynamic,bounded)\)")
 _LABEL = re.compile(r"^([0-9a-f]+) <([^>]+)>:$")
-_LINE = re.compile(r"^\s+[0-9a-f]+:\t((?:[0-9a-f]{4} ?)+)\s*\t(\S+)\s*(.*)$")
+_LINE = re.compile(r"^\s*[0-9a-f]+:\t((?:[0-9a-f]{4} ?)+)\s*\t(\S+)\s*(.*)$")
 _JUMPS = {"b", "cbz", "cbnz"} | {f"b{c}" for c in "eq ne cs cc mi pl vs vc hi ls ge lt gt le".split()}
 _ENDS = re.compile(r"^(b|b\.n|b\.w|bx|udf)$")
 
@@ -166,6 +166,8 @@ def stack(entry: str, package: Mapping[str, Function], library: Mapping[str, Fun
                 raise StackUnknownError(f"{name}, called by {path[-1] if path else 'nobody'}: its frame is not known")
             if function.frame < 0:
                 raise StackUnknownError(f"{name}: its frame has no bound")
+            if name not in package and not function.code:
+                raise StackUnknownError(f"{name}: it was not disassembled")
             path.append(name)
             below = max((deepest(callee) for callee in sorted(function.calls)), default=(0, ()))
             path.pop()

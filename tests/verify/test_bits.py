@@ -1,0 +1,36 @@
+"""Bit for bit: one hash of all answers from every compiler, level and board; and libm's shows that hashes can differ."""
+
+import os
+
+import pytest
+from servogen.scene.loading import builtin_names, load_scene
+from servogen.verify.bits import Build, builds, hashes
+from servogen.verify.harness import targets
+
+CAMPAIGN = os.environ.get("SERVOGEN_CAMPAIGN") == "1"
+BOARDS = [name for name in targets() if name != "host"]
+SHORT = [Build("host", "gcc", "-O0"), Build("host", "clang", "-O3"), *(Build(b, "gcc", "-O2") for b in BOARDS)]
+
+
+@pytest.fixture
+def everywhere(need_target):
+    for compiler in ("gcc", "clang"):
+        need_target("host", compiler)
+    for board in BOARDS:
+        need_target(board)
+    return builds(BOARDS) if CAMPAIGN else SHORT
+
+
+def test_one_hash(everywhere):
+    names = builtin_names() if CAMPAIGN else ("double_pendulum_energy",)
+    for prefix, found in hashes([load_scene(n) for n in names], everywhere, 4).items():
+        assert len(found) == len(everywhere)
+        assert len(set(found.values())) == 1, f"{prefix}: {found}"
+        assert not next(iter(found.values())).startswith("failed")
+
+
+def test_libm_differs_between_machines(everywhere):
+    """float64 from glibc and from newlib: were they the same, own functions would not be needed."""
+    where = [Build("host", "gcc", "-O2"), Build("cortex-m7", "gcc", "-O2")]
+    found = hashes([load_scene("double_pendulum_energy")], where, 16, math="libm")
+    assert any(len(set(by_build.values())) > 1 for by_build in found.values())
