@@ -14,7 +14,8 @@ IIWA_TOOL, A1_FEET = "lbr_iiwa_link_7", ("FR_toe", "FL_toe", "RR_toe", "RL_toe")
 # A tree with everything that is awkward: slanted axes and frames, prismatic joints within the chain and at its end,
 # parallel offset axes, a branch, links without inertia, a rotor on the branch.
 ODD = """<robot name="odd">
-  <link name="world"/>
+  <link name="world"><inertial><mass value="3"/>
+    <inertia ixx="0.2" iyy="0.3" izz="0.25" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="a"><inertial><origin xyz="0.1 0.2 -0.1" rpy="0.3 -0.2 0.7"/><mass value="2"/>
     <inertia ixx="0.1" iyy="0.12" izz="0.09" ixy="0.01" ixz="-0.02" iyz="0.005"/></inertial></link>
   <link name="b"><inertial><origin xyz="0 0.1 0.3"/><mass value="1.5"/>

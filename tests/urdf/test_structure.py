@@ -14,7 +14,7 @@ from support.robots import A1, IIWA, IIWA_TOOL
 
 
 def test_operations_of_the_iiwa() -> None:
-    """S and z with constant gains and a reference without rates; adam-robotics through CasADi's cse takes 6,313."""
+    """S and z, the test of the pivots apart, with constant gains and a reference without rates."""
     robot = sg.urdf.load(IIWA, quiet=True)
     ref = sg.References(r=[0.5, 0.0, 0.6])
     psi = robot.position(IIWA_TOOL) - ref.r

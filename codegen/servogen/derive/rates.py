@@ -13,8 +13,8 @@ from servogen.scene.symbols import chains
 def rate(scene: Scene, expression: Any, what: str, u_dot: Any = None, along: Sequence[tuple[Any, Any]] = ()) -> Any:
     """d/dt of a column: psi_q (C u + D) + psi_t + psi_r r', and psi_u u' where u_dot is given (Eq. 5).
 
-    along: further (symbol, rate) pairs. One directional derivative; no Jacobian is formed. SceneError where a reference's
-    rate is needed but not declared.
+    along: further (symbol, rate) pairs. One directional derivative; no Jacobian is formed. SceneError where the
+    rate of a reference is needed but not declared.
     """
     mech = scene.mechanism
     moving = [(mech.q, mech.q_dot), *along]
