@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
-
 import servogen as sg
 from servogen.scene.loading import load_scene
 from servogen.verify import check as check_module
@@ -93,6 +93,45 @@ def test_truth_is_the_physics():
         np.testing.assert_allclose(S, [u[0], u[1] - u[0]], rtol=1e-15)
         psi, z = truth.points[k].values["psi"][0], truth.points[k].values["z"][0]
         assert abs(float(z + psi)) < 1e-40
+
+
+def test_a_wrong_derivation_fails(monkeypatch):
+    """Truth and C come of one derivation; the textbook reference tells when that is wrong."""
+    from servogen.derive import servo
+
+    rows = servo._rows
+
+    def flipped(scene, constraint):
+        psi, J, X, prescribed = rows(scene, constraint)
+        return psi, J, -X, prescribed
+
+    monkeypatch.setattr(servo, "_rows", flipped)
+    monkeypatch.setattr(check_module, "HOST_COMPILERS", ("gcc",))
+    report = check([load_scene("double_pendulum_energy")], states=STATES)
+    assert any("z of the textbook formulas" in p for p in report.problems)
+
+
+def pulled(rows, solver=None):
+    """Two masses on a line, pulled by two forces; `rows` of Nonholonomic constraints on their speeds."""
+    q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau", 2)
+    mech = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.diag(ca.DM([2, 3])), P=-q, G=ca.DM.eye(2))
+    constraints = [sg.Nonholonomic(name, psi(q, u), -1.0) for name, psi in rows.items()]
+    return sg.Scene("pulled", mech, constraints, solver=solver or sg.Solver(), domain={"q": (-1, 1), "u": (0.1, 1)})
+
+
+@pytest.mark.filterwarnings("ignore:the rows of S can never be independent")
+def test_duplicate_rows_are_checked_against_the_truncated_solution():
+    scene = pulled({"a": lambda q, u: u[0] ** 2 + u[1], "b": lambda q, u: 3 * (u[0] ** 2 + u[1])})
+    report = check([scene], states=STATES)
+    assert report.passed, report.problems
+    assert all(o.compared > STATES for o in report.outputs if o.output == "tau")
+
+
+def test_a_damped_solver_is_checked_against_the_damped_solution():
+    rows = {"a": lambda q, u: u[0] ** 2, "b": lambda q, u: u[0] + 0.1 * u[1] ** 2}
+    report = check([pulled(rows, sg.Solver(damping=0.05))], states=STATES)
+    assert report.passed, report.problems
+    assert all(o.compared > STATES for o in report.outputs if o.output == "tau")
 
 
 @pytest.mark.parametrize("states", [30])

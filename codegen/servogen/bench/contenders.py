@@ -85,7 +85,7 @@ def default_contenders(scene: Scene, inputs: Inputs, capacity: int) -> tuple[Con
 
 def output_sizes(scene: Scene) -> dict[Output, int]:
     """Entries of each output."""
-    m, l = scene.rows, scene.controls  # noqa: E741
+    m, l = scene.rows, scene.controls
     return {Output.MATRIX: m * l, Output.RIGHT: m, Output.ANSWER: l}
 
 
@@ -105,7 +105,9 @@ def servogen_c(scene: Scene, inputs: Inputs, capacity: int, scalar: Scalar) -> C
         Output.ANSWER: Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control"),
     }
     declarations = _servogen_declarations(package.module, inputs, capacity)
-    return CContender(f"servogen {scalar.replace('float', 'f')}", f"servogen_{scalar}", scalar, True, files, declarations, calls)
+    return CContender(
+        f"servogen {scalar.replace('float', 'f')}", f"servogen_{scalar}", scalar, True, files, declarations, calls
+    )
 
 
 def _servogen_declarations(module: Module, inputs: Inputs, capacity: int) -> str:

@@ -24,7 +24,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     formulation = derive(scene)
     matrix, right = formulation.system
     columns = inputs.columns()
-    l = scene.controls  # noqa: E741
+    l = scene.controls
     columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
     result: Truth = {output: [] for output in Output}
     for k, exact in enumerate(evaluate_exactly(lower(formulation), columns)):
@@ -39,7 +39,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
 def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
     """y + S+ (z - S y) for S of full row or column rank; NaN where it has neither."""
     with mp.workdps(DIGITS):
-        m, l = len(right), len(free)  # noqa: E741
+        m, l = len(right), len(free)
         if not all(mp.isfinite(x) for x in (*entries, *right, *free)):
             return [mp.nan] * l
         S = mp.matrix([entries[i * l : (i + 1) * l] for i in range(m)])

@@ -7,7 +7,19 @@ import click
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
-from servogen.cli.console import FAILED, emit_json, err, json_option, out, progress, table, to_jsonable
+from servogen.cli.console import (
+    FAILED,
+    all_option,
+    chosen,
+    emit_json,
+    err,
+    json_option,
+    out,
+    progress,
+    scenes_argument,
+    table,
+    to_jsonable,
+)
 from servogen.scene.loading import load_scene
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
@@ -23,23 +35,26 @@ NOTES = (
 
 
 @click.command("bench")
-@click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
+@scenes_argument
+@all_option
 @click.option(
     "--out", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("bench"), show_default=True,
     help="Folder for plots and results, in DIR/<scene>/.", metavar="DIR",
 )  # fmt: skip
-@click.option("--rounds", type=click.IntRange(min=1), default=ROUNDS, show_default=True, help="Turns of each contender.")
+@click.option(
+    "--rounds", type=click.IntRange(min=1), default=ROUNDS, show_default=True, help="Turns of each contender."
+)
 @click.option("--compiler", help="C compiler; default $CC, else cc.")
 @click.option("--flags", default="-O2", show_default=True, help="Flags of the compiler, the same for all.")
 @json_option
 def bench_command(
-    scenes: tuple[str, ...], folder: Path, rounds: int, compiler: str | None, flags: str, as_json: bool
+    scenes: tuple[str, ...], every: bool, folder: Path, rounds: int, compiler: str | None, flags: str, as_json: bool
 ) -> None:
     """Run time against error of SCENE's S, z and tau, for servogen and others in one run on the same states.
 
     Exit code 1 if code of ours hands out a NaN or an infinity without a word.
     """
-    loaded = [load_scene(spec) for spec in scenes]
+    loaded = [load_scene(spec) for spec in chosen(scenes, every)]
     results = []
     for scene in loaded:
         with progress(as_json) as advance:

@@ -4,9 +4,20 @@ from pathlib import Path
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, emit_json, err, json_option, out, progress, table
-from servogen.errors import SceneError
-from servogen.scene.loading import builtin_names, load_scene, scene_folder
+from servogen.cli.console import (
+    FAILED,
+    GOOD,
+    all_option,
+    chosen,
+    emit_json,
+    err,
+    json_option,
+    out,
+    progress,
+    scenes_argument,
+    table,
+)
+from servogen.scene.loading import load_scene, scene_folder
 from servogen.verify import budget
 from servogen.verify.certificate import Certificate, certify
 from servogen.verify.harness import targets
@@ -15,8 +26,8 @@ BOARDS = [name for name in targets() if name != "host"]
 
 
 @click.command("certify")
-@click.argument("scenes", nargs=-1, metavar="SCENE...")
-@click.option("--all", "every", is_flag=True, help="All built-in scenes.")
+@scenes_argument
+@all_option
 @click.option("--target", "boards", type=click.Choice(BOARDS), multiple=True, help="A board; default cortex-m4.")
 @click.option(
     "--budget",
@@ -31,9 +42,7 @@ def certify_command(
 ) -> None:
     """Measure the generated C of SCENE... on emulated boards, in both scalars: instructions of each function (not
     cycles), flash, stack, symbols, errors; and hold them to budget.toml, with 3 % of slack."""
-    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
-    if not names:
-        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    names = chosen(scenes, every)
     work = [(name, board) for name in names for board in boards or ("cortex-m4",)]
     found: list[Certificate] = []
     over: list[str] = []

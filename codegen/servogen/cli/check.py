@@ -5,17 +5,28 @@ from collections.abc import Sequence
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, complain, emit_json, json_option, out, progress, table
-from servogen.errors import SceneError
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.cli.console import (
+    FAILED,
+    GOOD,
+    all_option,
+    chosen,
+    complain,
+    emit_json,
+    json_option,
+    out,
+    progress,
+    scenes_argument,
+    table,
+)
+from servogen.scene.loading import load_scene
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets
 from servogen.verify.truth import BAR
 
 
 @click.command("check")
-@click.argument("scenes", nargs=-1, metavar="SCENE...")
-@click.option("--all", "every", is_flag=True, help="All built-in scenes.")
+@scenes_argument
+@all_option
 @click.option("--target", type=click.Choice(targets()), default="host", show_default=True, help="Where the C runs.")
 @click.option(
     "--states", type=click.IntRange(1), help=f"States drawn a scene; default {STATES}, fewer on small boards."
@@ -29,9 +40,7 @@ def check_command(
 
     On the host gcc and clang build it; on a board it runs in the emulator and is also compared with the host.
     """
-    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
-    if not names:
-        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    names = chosen(scenes, every)
     with progress(as_json) as advance:
         report = check([load_scene(n) for n in names], target, states, seed, advance)
     if as_json:
@@ -60,16 +69,20 @@ def show(report: CheckReport) -> None:
     table(
         f"tau against the exact solution of the code's own system, in u kappa (|tau| + |y|); the bar is {BAR:g}",
         ("scene", "scalar", "built by", "systems", "error", ""),
-        [(s.scene, s.scalar, s.compiler, s.solved, f"{s.max_error:.3g}", "ok" if s.passed else "FAILED")
-         for s in report.solves],  # fmt: skip
+        [
+            (s.scene, s.scalar, s.compiler, s.solved, f"{s.max_error:.3g}", "ok" if s.passed else "FAILED")
+            for s in report.solves
+        ],
         right=(3, 4),
     )
     if report.differences:
         table(
             "Host against board, value by value",
             ("scene", "scalar", "function", "output", "values", "not bit-equal", "largest, ulps", "statuses differ"),
-            [(d.scene, d.scalar, d.entry, d.output, d.compared, d.different, f"{d.max_ulps:.3g}", d.statuses_differ)
-             for d in report.differences],  # fmt: skip
+            [
+                (d.scene, d.scalar, d.entry, d.output, d.compared, d.different, f"{d.max_ulps:.3g}", d.statuses_differ)
+                for d in report.differences
+            ],
             right=(4, 5, 6, 7),
         )
     for text in report.skipped:

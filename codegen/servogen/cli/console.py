@@ -18,11 +18,16 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from servogen.errors import SceneError
+from servogen.scene.loading import builtin_names
+
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
 err = Console(stderr=True, highlight=False)
 
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
 
+scenes_argument = click.argument("scenes", nargs=-1, metavar="SCENE...")
+all_option = click.option("--all", "every", is_flag=True, help="All built-in scenes.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 
 Advance = Callable[[int, int, str], None]
@@ -84,3 +89,11 @@ def show_warnings() -> None:
     warnings.showwarning = lambda message, *rest, **more: err.print(
         f"[bold yellow]warning:[/] {escape(str(message))}", soft_wrap=True
     )
+
+
+def chosen(scenes: tuple[str, ...], every: bool) -> tuple[str, ...]:
+    """The scenes named, and with --all the built-in ones; SceneError where there are none."""
+    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
+    if not names:
+        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    return names

@@ -8,8 +8,8 @@ import click
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_solver
 from servogen.package import Package
-from servogen.plan.module import mix_of
 from servogen.plan.mathematics import Math
+from servogen.plan.module import mix_of
 from servogen.scene.loading import builtin_names, builtin_summary, load_scene
 from servogen.scene.solver import EPSILON, Scalar
 

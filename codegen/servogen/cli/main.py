@@ -13,7 +13,8 @@ from servogen.cli.report import report_command
 from servogen.cli.simulate import simulate_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
-from servogen.verify.harness import HarnessBuildError
+from servogen.twins.compiled import CompilerRefused
+from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
 from servogen.verify.tools import ToolMissing
 from servogen.version import VERSION
 
@@ -56,7 +57,10 @@ def main() -> None:
     except (SceneError, ToolMissing) as error:
         complain("error", str(error))
         sys.exit(WRONG_INPUT)
-    except HarnessBuildError as error:
+    except (VectorsTooLarge, OSError) as error:
+        complain("error", str(error))
+        sys.exit(WRONG_INPUT)
+    except (HarnessBuildError, CompilerRefused) as error:
         complain("error", str(error))
         sys.exit(FAILED)
     sys.exit(code if isinstance(code, int) else GOOD)

@@ -4,11 +4,20 @@ from pathlib import Path
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, complain, emit_json, json_option, out, progress
-from servogen.errors import SceneError
+from servogen.cli.console import (
+    FAILED,
+    GOOD,
+    all_option,
+    chosen,
+    complain,
+    emit_json,
+    json_option,
+    out,
+    progress,
+    scenes_argument,
+)
 from servogen.report.collect import collect
 from servogen.report.page import render_page
-from servogen.scene.loading import builtin_names
 from servogen.verify.harness import require_target
 from servogen.verify.tools import ToolMissing
 
@@ -16,8 +25,8 @@ BOARD = "cortex-m4"
 
 
 @click.command("report")
-@click.argument("scenes", nargs=-1, metavar="SCENE...")
-@click.option("--all", "every", is_flag=True, help="All built-in scenes.")
+@scenes_argument
+@all_option
 @click.option(
     "--out", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("report"), show_default=True,
     help="Folder for report.html and the scenes' files.",
@@ -25,13 +34,9 @@ BOARD = "cortex-m4"
 @click.option("--states", type=click.IntRange(1), default=500, show_default=True, help="States of the cross-check.")
 @click.option("--rounds", type=click.IntRange(1), default=10, show_default=True, help="Rounds of the benchmark.")
 @json_option
-def report_command(
-    scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, as_json: bool
-) -> None:
+def report_command(scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, as_json: bool) -> None:
     """Generate, cross-check, simulate and benchmark SCENE...; one self-contained HTML page, and the files beside it."""
-    names = (*scenes, *(n for n in builtin_names() if n not in scenes)) if every else scenes
-    if not names:
-        raise SceneError(f"name a scene ({', '.join(builtin_names())}, or a file), or say --all")
+    names = chosen(scenes, every)
     board: str | None = BOARD
     skipped = []
     try:

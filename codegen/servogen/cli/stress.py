@@ -38,8 +38,19 @@ def show_stress(report: StressReport) -> None:
     table(
         f"Solver against exact rationals, {report.systems} systems a family, shape and scalar; seed {report.seed}",
         ("family", "scalar", "quantity", "systems", "largest", "bar", "at", ""),
-        [(r.family, r.scalar, r.quantity, r.systems, f"{r.largest:.3g}", f"{r.bar:g}", r.shape,
-          "ok" if r.passed else "[bold red]FAILED[/]") for r in report.rows],  # fmt: skip
+        [
+            (
+                r.family,
+                r.scalar,
+                r.quantity,
+                r.systems,
+                f"{r.largest:.3g}",
+                f"{r.bar:g}",
+                r.shape,
+                "ok" if r.passed else "[bold red]FAILED[/]",
+            )
+            for r in report.rows
+        ],
         right=(3, 4, 5),
     )
     failed = sum(not r.passed for r in report.rows)

@@ -19,6 +19,7 @@ def derive_controls(scene: Scene) -> Formulation:
         phi.append(c.phi)
         # every term of Eq. (40) is one directional derivative along the motion
         B.append(ca.mtimes(c.Theta, c.phi) - rate(scene, c.phi, f"constraint {c.name!r}", u_dot))
+    damped = any(not c.Theta.is_zero() for c in scene.constraints if isinstance(c, ControlsInvolved))
     A = ca.jacobian(ca.vertcat(*phi), mech.tau)
     quantities = [
         Quantity("phi", ca.vertcat(*phi), "Eq. (36)", "phi(q, u, tau, t)"),
@@ -27,7 +28,7 @@ def derive_controls(scene: Scene) -> Formulation:
             "B",
             ca.vertcat(*B),
             "Eq. (40)",
-            "-phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t + Theta phi",
+            "-phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t" + (" + Theta phi" if damped else ""),
             needs_mass=True,
         ),
     ]

@@ -37,17 +37,28 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
 
 
 def sample(scene: Scene, expression: Any, count: int = _SAMPLES) -> FloatArray:
-    """An expression of the scene's inputs and tau at `count` states of its domain: array (count, rows, columns)."""
+    """An expression at `count` states of the domain and as many sets of parameters: array (count, rows, columns).
+
+    The first quarter of the sets are the defaults; the others lie between half and twice of them, for parameters
+    change at run time.
+    """
     assert scene.parameters is not None
     fields = scene.input_fields()
     symbols = [f.symbol for f in fields] + [f.symbol for f in scene.parameters]
     states = draw_states(scene, count)
     columns = [ca.DM(states[f.name].T) for f in fields]
-    columns += [ca.repmat(ca.DM(f.default), 1, count) for f in scene.parameters]
+    columns += [ca.DM(_around_default(f.default, count, k).T) for k, f in enumerate(scene.parameters)]
     function = ca.Function("sample", symbols, [ca.densify(expression)])
     values = np.array(function.map(count)(*columns)) if symbols else np.array(function())
     rows, cols = expression.shape
     return values.reshape(rows, count, cols).transpose(1, 0, 2)
+
+
+def _around_default(default: tuple[float, ...], count: int, seed: int) -> FloatArray:
+    """Values of one parameter, array (count, size)."""
+    factors = 2.0 ** np.random.default_rng([7, seed]).uniform(-1, 1, (count, len(default)))
+    factors[: count // 4] = 1.0
+    return np.asarray(np.array(default) * factors)
 
 
 def is_symmetric(scene: Scene, matrix: Any) -> bool:

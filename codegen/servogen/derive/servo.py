@@ -21,14 +21,37 @@ def derive_servo(scene: Scene) -> Formulation:
     W = W_transposed.T
     S = ca.mtimes(W, mech.G)
     z = prescribed - X - ca.mtimes(W, mech.P)
+    words = _words(scene)
     quantities = [
-        Quantity("psi", psi, "Eqs. (3), (11)", "psi(q, u, t)"),
-        Quantity("S", S, "Eq. (8)", "psi_u Q^-1 G", needs_mass=True),
-        Quantity("z", z, "Eq. (9)", "-psi_u Q^-1 P - X + Theta psi", needs_mass=True),
+        Quantity("psi", psi, *words["psi"]),
+        Quantity("S", S, *words["S"], needs_mass=True),
+        Quantity("z", z, *words["z"], needs_mass=True),
     ]
     if isinstance(scene.y, ca.SX):
         quantities.append(Quantity("y", scene.y, "Eq. (10)", "the free vector"))
     return Formulation(scene, tuple(quantities), mass)
+
+
+def _words(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Equation and formula of psi, S and z for the kinds of constraints there are."""
+    holonomic = [isinstance(c, Holonomic) for c in scene.constraints]
+    if not any(holonomic):
+        return {
+            "psi": ("Eq. (3)", "psi(q, u, t)"),
+            "S": ("Eq. (8)", "psi_u Q^-1 G"),
+            "z": ("Eq. (9)", "-psi_u Q^-1 P - X + Theta psi"),
+        }
+    if all(holonomic):
+        return {
+            "psi": ("Eq. (11)", "psi(q, t)"),
+            "S": ("Eqs. (8), (12)", "psi_q C Q^-1 G"),
+            "z": ("Eqs. (9), (12)", "-psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi"),
+        }
+    return {
+        "psi": ("Eqs. (3), (11)", "psi(q, u, t), holonomic rows psi(q, t)"),
+        "S": ("Eq. (8)", "J Q^-1 G, J = psi_u or psi_q C"),
+        "z": ("Eqs. (9), (12)", "-J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi"),
+    }
 
 
 def _rows(scene: Scene, constraint: Any) -> tuple[Any, Any, Any, Any]:

@@ -217,5 +217,6 @@ def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequen
         return (f"inverse of Q: {formulation.mass.reason}",)
     return (
         "factorisation of Q: the solve cancels, its answer is an expression without Q's pivots",
-        "test at each tick that Q is regular: nothing divides by its pivots, Q is positive definite over the domain",
+        "test at each tick that Q is regular: nothing divides by its pivots, Q is positive definite at states of the "
+        "domain and parameters from half to twice their defaults",
     )

@@ -32,9 +32,7 @@ def statements(code: Kernel | Prepare, scalar: str, own: str = "") -> tuple[list
     return lines, {o.name: [printer.text[n] for n in o.nodes] for o in program.outputs}
 
 
-def pieces(
-    program: Program, chunks: Chunks, scalar: str, own: str = ""
-) -> tuple[list[Piece], dict[str, list[str]]]:
+def pieces(program: Program, chunks: Chunks, scalar: str, own: str = "") -> tuple[list[Piece], dict[str, list[str]]]:
     """(statements of each piece, which load from and store to live[], output name -> its entries at the end)."""
     printer = _Printer(program, scalar, own, ())
     found = []

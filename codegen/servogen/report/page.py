@@ -52,7 +52,11 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
             f"{sum(o.compared for o in check.outputs):,} values, largest error {worst:.3g} ulps of its output's scale",
             check.passed,
         ),
-        ("tau against the exact solution of its system", f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)", solve <= BAR),
+        (
+            "tau against the exact solution of its system",
+            f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)",
+            solve <= BAR,
+        ),
     ]
     if report.board is not None:
         different = sum(d.different for d in report.board.differences)

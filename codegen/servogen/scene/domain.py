@@ -60,10 +60,9 @@ def boundary_states(scene: Scene) -> tuple[tuple[str, State], ...]:
     def add(name: str, **changes: FloatArray) -> None:
         named.append((name, base | changes))
 
-    if "u" in base:
-        add("rest", u=np.zeros_like(base["u"]))
-        for exponent in (-8, -20, -160):
-            add(f"nearly at rest, u times 1e{exponent}", u=base["u"] * 10.0**exponent)
+    add("rest", u=np.zeros_like(base["u"]))
+    for exponent in (-8, -20, -160):
+        add(f"nearly at rest, u times 1e{exponent}", u=base["u"] * 10.0**exponent)
     named.append(("all inputs zero", {f.name: np.zeros(f.size) for f in fields}))
     named.append(("all inputs minus zero", {f.name: np.full(f.size, -0.0) for f in fields}))
     for turns in (0.5, 1.0, -0.5):

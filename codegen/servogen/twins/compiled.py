@@ -20,6 +20,11 @@ from servogen.verify.tools import ToolMissing
 if TYPE_CHECKING:
     from servogen.package import Package
 
+
+class CompilerRefused(RuntimeError):  # noqa: N818, the name says it
+    """The C compiler did not take the generated code; the message ends with what it printed."""
+
+
 CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 
 # One call for a stack of systems: a loop in C, so that Python's call costs nothing.
@@ -45,7 +50,7 @@ void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 def load_package(
     package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
 ) -> "CompiledTwin | CompiledSolver":
-    """Compile and load. Raises ToolMissing without a C compiler, RuntimeError with its words where it fails."""
+    """Compile and load. Raises ToolMissing without a C compiler, CompilerRefused with its words where it fails."""
     module = package.module
     if package.scene is None:
         extra = _STACK.format(p=package.prefix, real=module.target.real, **_shape(module))
@@ -70,7 +75,7 @@ def compile_library(package: "Package", compiler: str | None, flags: tuple[str, 
         argv = [*command.split(), *CROSS_CHECK_FLAGS, *flags, "-fPIC", "-shared", f"-I{package.path}", *sources]
         run = subprocess.run([*argv, "-o", str(library), "-lm"], capture_output=True, text=True)
         if run.returncode != 0:
-            raise RuntimeError(f"{command} refused {package.prefix}.c:\n{run.stderr}")
+            raise CompilerRefused(f"{command} refused {package.prefix}.c:\n{run.stderr}")
         return ct.CDLL(str(library))
 
 

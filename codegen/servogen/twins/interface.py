@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.errors import SceneError
+from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Scalar
 
@@ -23,7 +24,12 @@ class Twin(ABC):
         self.scene = scene
         self.scalar = scalar
         self.dtype = np.dtype(scalar)
-        self.prepare()
+        status = self.prepare()
+        if status < 0:
+            raise SceneError(
+                f"scene {scene.name!r}: prepare refuses the parameters' defaults ({status.name}: "
+                f"{STATUS_MEANING[status]}); give defaults that make sense in {scalar}"
+            )
 
     def prepare(self, **parameters: Any) -> Status:
         """Set the runtime parameters; those left out take their defaults. Negative: the model is as it was."""
@@ -41,13 +47,13 @@ class Twin(ABC):
             raise AttributeError(f"scene {self.scene.name!r} has no {name}: it is a {self.scene.kind} scene")
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
-    def pinv(self, matrix: Any) -> tuple[FloatArray, Info]:
-        """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape, and how it was found."""
+    def pinv(self, matrix: Any) -> FloatArray:
+        """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
         shape = (self.scene.rows, self.scene.controls)
         array = np.asarray(matrix, dtype=float)
         if array.shape != shape:
             raise ValueError(f"pinv: the matrix has shape {array.shape}; this scene's are {shape}")
-        return self._pinv(array)
+        return self._pinv(array)[0]
 
     def control(self, *, last: Any = None, **inputs: Any) -> Control:
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""

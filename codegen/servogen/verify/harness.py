@@ -26,6 +26,10 @@ Progress = Callable[[str], None]
 _COMPILERS = {"gcc": ("gcc", "gcc"), "clang": ("clang", "clang"), "asan": ("gcc", "gcc")}
 
 
+class VectorsTooLarge(ValueError):  # noqa: N818, the name says it
+    """The vectors do not fit into the board; the message says how many would."""
+
+
 class HarnessBuildError(RuntimeError):
     """CMake or a compiler refused; the message ends with what it printed."""
 
@@ -279,7 +283,7 @@ def _check_packages(
             raise ValueError(f"{prefix} is {manifest['scalar']}, its vectors are of {given.prefix}, {given.scalar}")
         if (size := data_bytes(given)) > room:
             count = max(entry.count for entry in given.entries)
-            raise ValueError(
+            raise VectorsTooLarge(
                 f"vectors of {prefix} take {size} bytes, {target} holds {room}: "
                 f"give about {count * room // size} of the {count} vectors, or fewer entry points"
             )

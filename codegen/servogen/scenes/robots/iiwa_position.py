@@ -1,7 +1,7 @@
 """KUKA LBR iiwa with seven joints whose end effector follows a moving point in space.
 
 psi'' + 20 psi' + 100 psi = 0 with psi the distance vector from the reference (Bajodah et al. 2004, Eqs. 11-12). The
-model is robots/kuka_iiwa.urdf; its last link's frame is the end effector.
+model is kuka_iiwa.urdf; its last link's frame is the end effector.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ from pathlib import Path
 import servogen as sg
 
 END_EFFECTOR = "lbr_iiwa_link_7"
-ROBOT_FILE = Path(__file__).parent / "robots" / "kuka_iiwa.urdf"
+ROBOT_FILE = Path(__file__).parent / "kuka_iiwa.urdf"
 Q_RANGE = ((-2.9, -2.0, -2.9, -2.0, -2.9, -2.0, -3.0), (2.9, 2.0, 2.9, 2.0, 2.9, 2.0, 3.0))
 """The joints' limits, rad, as the URDF has them, rounded inwards."""
 

@@ -1,0 +1,42 @@
+"""The pseudo-inverse below full rank or damped, by the SVD at 50 digits."""
+
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+
+from servogen.ir.evaluate import DIGITS
+from servogen.results import FloatArray
+
+
+def pseudo_solution(
+    S: FloatArray, z: FloatArray, y: FloatArray, rank: int, damping: float | None
+) -> tuple[list[Any], float]:
+    """(tau, kappa): tau = y + S_r+ (z - S_r y) of the `rank` largest singular values, damped as NUMERICS has it.
+
+    S: (m, l), z: (m,), y: (l,), all exact. kappa: the condition of what was kept.
+    """
+    with mp.workdps(DIGITS):
+        A = mp.matrix(np.asarray(S, dtype=float).tolist())
+        U, sigma, V = mp.svd_r(A) if A.rows >= A.cols else _transposed(A)
+        rest = mp.matrix([mp.mpf(float(v)) for v in z]) - A * mp.matrix([mp.mpf(float(v)) for v in y])
+        tau = [mp.mpf(float(v)) for v in y]
+        for k in range(rank):
+            along = mp.fsum(U[i, k] * rest[i] for i in range(A.rows)) * _inverse(sigma[k], damping)
+            for j in range(A.cols):
+                tau[j] += V[k, j] * along
+        kappa = float(sigma[0] / sigma[rank - 1]) if rank else 1.0
+    return tau, kappa
+
+
+def _transposed(A: Any) -> tuple[Any, Any, Any]:
+    """svd_r wants at least as many rows as columns."""
+    U, sigma, V = mp.svd_r(A.T)
+    return V.T, sigma, U.T
+
+
+def _inverse(sigma: Any, damping: float | None) -> Any:
+    """1 / sigma, or sigma / eps^2 (2 - (sigma / eps)^2) below eps."""
+    if damping is None or sigma >= damping:
+        return 1 / sigma
+    return sigma / damping**2 * (2 - (sigma / damping) ** 2)
