@@ -1,4 +1,4 @@
-"""Bit for bit: one hash of all answers from every compiler, level and board; with libm hashes do differ."""
+"""Bit for bit: one hash of all answers from every compiler, level and board; with libm there are several."""
 
 import os
 
