@@ -113,7 +113,7 @@ def test_guards_are_split_by_the_time_they_are_known() -> None:
     mech = sg.Mechanism(q=q, u=u, tau=tau, Q=Q, P=ca.DM.zeros(3), G=ca.DM.eye(3))
     module = compiled(sg.Scene("split", mech, [sg.Nonholonomic("all", u, -1.0)], par))
     assert module.prepare.guards == 1
-    assert {k.name: k.guards for k in module.kernels} == {"psi": 0, "S": 1, "z": 1, "S_z": 1}
+    assert {k.name: k.guards for k in module.kernels} == {"psi": 0, "S": 1, "z": 0, "S_z": 1}  # without P, z needs no Q
 
 
 def test_field_names_stand_clear_of_inputs_and_parameters() -> None:

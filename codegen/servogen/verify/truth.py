@@ -257,16 +257,13 @@ class Truth:
         matrices = np.stack([p.rounded[matrix] for p in self.points]).astype(self.dtype)
         values, tolerance, status, rank = [], [], [], []
         for flat in matrices:
-            inverse, info = textbook_solver.pinv(flat.reshape(m, l).astype(float), self.solver)
-            comparable = info.status >= 0 and info.rank in (0, min(m, l)) and self.solver.damping is None
-            truth = exact.nearest(exact.pinv(exact.rational(flat.reshape(m, l)))) if comparable else inverse
-            sigma = np.linalg.svd(flat.reshape(m, l).astype(float), compute_uv=False) if comparable else [1.0, 1.0]
-            kappa = sigma[0] / sigma[-1] if comparable and info.rank else 1.0
+            S = flat.reshape(m, l).astype(float)
+            given, info = textbook_solver.pinv(S, self.solver)
+            truth, kappa = self._pseudo_inverse(S, info) if info.status >= 0 else (given, 1.0)
             size = _norm(truth)
-            good = comparable and np.isfinite(size)
             limit = BAR * self.solver.epsilon * kappa * size + float(np.finfo(self.scalar).smallest_subnormal)
             values.append(truth.ravel())
-            tolerance.append(np.full(m * l, limit if good else np.inf))
+            tolerance.append(np.full(m * l, limit if info.status >= 0 and np.isfinite(size) else np.inf))
             status.append(int(info.status))
             rank.append(info.rank)
         stacked = np.stack(values)
@@ -277,6 +274,16 @@ class Truth:
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
+
+    def _pseudo_inverse(self, S: FloatArray, info: Info) -> tuple[FloatArray, float]:
+        """S+ and the condition of what it keeps: exact at full rank, else by the SVD at 50 digits."""
+        if info.status != Status.REGULARISED and info.rank in (0, min(S.shape)):
+            sigma = np.linalg.svd(S, compute_uv=False)
+            kappa = float(sigma[0] / sigma[-1]) if info.rank else 1.0
+            return exact.nearest(exact.pinv(exact.rational(S))), kappa
+        nothing = np.zeros(S.shape[1])
+        columns = [pseudo_solution(S, e, nothing, info.rank, self.solver.damping) for e in np.eye(len(S))]
+        return np.array([[float(v) for v in column] for column, _ in columns]).T, columns[0][1]
 
     def _control_vectors(self, entry: str, answers: list[Answer], dt: float | None = None) -> EntryVectors:
         values = np.array([a.tau for a in answers], dtype=object)
