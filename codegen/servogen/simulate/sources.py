@@ -82,8 +82,8 @@ def _context(scene: Scene, controller: Module, plant: Module, watch: Module | No
         "plant": plant,
         "watch": watch,
         "events": watch.entry_points[0].kernel.results[0].size if watch else 0,
-        "servo": scene.kind == "servo",
-        "constraint": "psi" if scene.kind == "servo" else "phi",
+        "servo": scene.kind != "controls",
+        "constraint": "phi" if scene.kind == "controls" else "psi",
         "given": given,
         "given_count": sum(f["size"] for f in given),
         "offsets": {f["name"]: f["offset"] for f in parameters},
@@ -92,7 +92,7 @@ def _context(scene: Scene, controller: Module, plant: Module, watch: Module | No
         "nu": nu,
         "l": scene.controls,
         "m": scene.rows,
-        "states": nq + nu + (0 if scene.kind == "servo" else scene.controls),
+        "states": nq + nu + (scene.controls if scene.kind == "controls" else 0),
     }
 
 

@@ -48,7 +48,7 @@ class Trajectory:
     """
 
     scene: str
-    kind: Literal["servo", "controls"]
+    kind: Literal["servo", "ideal", "controls"]
     step: float
     hold: bool
     t: FloatArray
@@ -68,12 +68,12 @@ class Trajectory:
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:
-        return "psi" if self.kind == "servo" else "phi"
+        return "phi" if self.kind == "controls" else "psi"
 
     @property
     def psi(self) -> FloatArray:
         """psi (N, m) of a servo scene."""
-        if self.kind != "servo":
+        if self.kind == "controls":
             raise AttributeError(f"scene {self.scene!r} has no psi: it is a controls scene; see phi")
         return self.constraint
 
@@ -81,5 +81,5 @@ class Trajectory:
     def phi(self) -> FloatArray:
         """phi (N, m) of a controls-involved scene."""
         if self.kind != "controls":
-            raise AttributeError(f"scene {self.scene!r} has no phi: it is a servo scene; see psi")
+            raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
         return self.constraint
