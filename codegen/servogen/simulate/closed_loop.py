@@ -15,13 +15,10 @@ from servogen.results import FloatArray, Status
 from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.ideal import ideal_decay
-from servogen.simulate.simulation import Simulation, check_simulation, known_symbols, sized, start_values
+from servogen.simulate.simulation import METHODS, Simulation, check_simulation, known_symbols, sized, start_values
 from servogen.simulate.sources import LoopSources, write_loop
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import compile_library
-
-METHODS = ("rk4",)
-"""The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
 
 HOLD_SUBSTEPS = 4
 """Runge-Kutta steps between two ticks of a sampling controller: their error is far below that of the hold."""
@@ -90,9 +87,10 @@ class ClosedLoop:
         parameters: Mapping[str, Any] | None = None,
         hold: bool = False,
         project: bool = True,
+        method: str | None = None,
         progress: Progress | None = None,
     ) -> Trajectory:
-        """Integrate from t = 0 by fixed steps of the classical Runge-Kutta method.
+        """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
         shortened so that it divides the duration. references: y and references by name, constant over the run.
@@ -103,8 +101,11 @@ class ClosedLoop:
         duration, step, steps = self._grid(duration, step)
         inputs = start_values(self.scene, self.simulation, {**(start or {}), **(references or {})})
         values = self._parameters(parameters or {})
-        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, progress)
-        return self._trajectory(rows, marks, stop, inputs, values, step, hold)
+        method = self.simulation.method if method is None else method
+        if method not in METHODS:
+            raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
+        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, METHODS.index(method), progress)
+        return self._trajectory(rows, marks, stop, inputs, values, step, hold, method)
 
     def _grid(self, duration: float | None, step: float | None) -> tuple[float, float, int]:
         duration = self.simulation.duration if duration is None else float(duration)
@@ -133,6 +134,7 @@ class ClosedLoop:
         steps: int,
         hold: bool,
         project: bool,
+        method: int,
         progress: Progress | None,
     ) -> tuple[FloatArray, Any, Stop]:
         sizes = self._sizes()
@@ -149,7 +151,7 @@ class ClosedLoop:
             )
         ]
         reals = _structs(self.scalar)
-        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, 0, hold, project)
+        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project)
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
@@ -174,7 +176,7 @@ class ClosedLoop:
     def _stop(self, stop: Any) -> Stop:
         reason = _REASONS[stop.reason]
         if reason == "event":
-            return Stop(reason, float(stop.t), tuple(self.simulation.stop)[stop.detail])
+            return Stop(reason, float(stop.t), self.simulation.events[stop.detail])
         return Stop(reason, float(stop.t), "", Status(stop.detail))
 
     def _trajectory(
@@ -186,6 +188,7 @@ class ClosedLoop:
         parameters: dict[str, FloatArray],
         step: float,
         hold: bool,
+        method: str,
     ) -> Trajectory:
         edges = np.cumsum([1, *self._sizes()])
         t, q, u, tau, constraint, sigma_min = np.split(rows, edges, axis=1)
@@ -193,6 +196,8 @@ class ClosedLoop:
         columns = {"t": t, "q": q, "u": u, "tau": tau} | {
             n: np.tile(v, (len(t), 1)) for n, v in {**parameters, **given}.items()
         }
+        columns |= self._moving(columns)
+        given |= {n: columns[n] for n in self.simulation.motion}
         outputs = self._evaluate(self.simulation.outputs, columns)
         first = {n: v[0] for n, v in columns.items()} if len(t) else {}
         return Trajectory(
@@ -200,6 +205,7 @@ class ClosedLoop:
             kind=self.scene.kind,
             step=step,
             hold=hold,
+            method=method,
             t=t[:, 0],
             q=q,
             u=u,
@@ -215,6 +221,14 @@ class ClosedLoop:
             parameters=parameters,
             inputs=given,
         )
+
+    def _moving(self, columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """The references that move, along the rows."""
+        entries = {(n, k): e[k] for n, e in self.simulation.motion.items() for k in range(e.numel())}
+        values = self._evaluate({f"{n} {k}": e for (n, k), e in entries.items()}, columns)
+        return {
+            n: np.stack([values[f"{n} {k}"] for k in range(e.numel())], axis=1) for n, e in self.simulation.motion.items()
+        }
 
     def _evaluate(self, expressions: Mapping[str, Any], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Expressions along the rows, by CasADi's virtual machine: another hand than the generated C."""

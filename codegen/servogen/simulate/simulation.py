@@ -14,6 +14,10 @@ from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
 
+METHODS = ("rk4", "dop8")
+"""The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
+
+
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """Defaults of `servogen simulate`, all optional; a scene file defines it as `simulation`.
@@ -25,6 +29,11 @@ class Simulation:
     decay: name of an output -> (rate, limit): it ought to follow limit + (value(0) - limit) exp(rate t); numbers or SX
         of parameters and references.
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
+    motion: name of a reference -> SX of t and the parameters: it moves along it instead of standing still. Give its
+        rates (`r_dot`) as well where they are references.
+    sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
+        or a control's magnitude exceeds the other.
+    method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
     units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
     """
 
@@ -35,11 +44,24 @@ class Simulation:
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    motion: Mapping[str, Any] = field(default_factory=dict)
+    sigma_min: float | None = None
+    tau_max: float | None = None
+    method: str = "rk4"
 
     def __post_init__(self) -> None:
         for what in ("outputs", "stop"):
             checked = {n: _scalar(e, f"simulation: {what}[{n!r}]") for n, e in getattr(self, what).items()}
             object.__setattr__(self, what, checked)
+        object.__setattr__(
+            self, "motion", {n: to_sx(e, f"simulation: motion[{n!r}]") for n, e in self.motion.items()}
+        )
+        for name in ("sigma_min", "tau_max"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise SceneError(f"simulation: {name} = {value!r}; give a positive number, or None")
+        if self.method not in METHODS:
+            raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
             if name not in self.outputs:
                 raise SceneError(f"simulation: decay[{name!r}] belongs to no output; add it to outputs")
@@ -47,11 +69,27 @@ class Simulation:
         object.__setattr__(self, "decay", decay)
 
 
+    @property
+    def events(self) -> tuple[str, ...]:
+        """What can end a run, in the order of the generated loop."""
+        margins = [] if self.sigma_min is None else [f"sigma_min <= {self.sigma_min:g}"]
+        margins += [] if self.tau_max is None else [f"|tau| > {self.tau_max:g}"]
+        return (*self.stop, *margins)
+
+
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
     """SceneError where the simulation names what the scene does not have."""
     known = {s.__hash__() for _, symbol in known_symbols(scene) for s in symbol.nonzeros()}
     named = [(f"outputs[{n!r}]", e) for n, e in simulation.outputs.items()]
     named += [(f"stop[{n!r}]", e) for n, e in simulation.stop.items()]
+    named += [(f"motion[{n!r}]", e) for n, e in simulation.motion.items()]
+    sizes = {f.name: f.size for f in scene.references or ()}
+    for name, expression in simulation.motion.items():
+        if sizes.get(name) != expression.numel():
+            raise SceneError(
+                f"simulation: motion[{name!r}] has {expression.numel()} entries; give one of the references "
+                f"{', '.join(f'{n} ({s})' for n, s in sizes.items())}"
+            )
     named += [(f"decay[{n!r}]", e) for n, pair in simulation.decay.items() for e in pair]
     for what, expression in named:
         for symbol in ca.symvar(expression):

@@ -20,7 +20,7 @@ from servogen.version import VERSION
 
 @dataclass(frozen=True, eq=False)
 class LoopSources:
-    """Everything that is compiled: three packages (watch: the stop expressions) and the folder of <prefix>_loop.[ch].
+    """Everything that is compiled: packages (watch: the stop expressions, course: the references that move) and the folder of <prefix>_loop.[ch].
 
     given: the inputs that are constant over a run (y and references) in the order of the C.
     """
@@ -28,18 +28,19 @@ class LoopSources:
     controller: Package
     plant: Package
     watch: Package | None
+    course: Package | None
     folder: Path
     given: tuple[StructField, ...]
 
     @property
     def include_folders(self) -> tuple[Path, ...]:
-        packages = [p.path for p in (self.plant, self.watch) if p is not None]
+        packages = [p.path for p in (self.plant, self.watch, self.course) if p is not None]
         return (self.folder, *packages, firmware_sim() / "harness", firmware_sim() / "simulate")
 
     @property
     def sources(self) -> tuple[Path, ...]:
         """C files beside the controller's."""
-        packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch) if p is not None]
+        packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch, self.course) if p is not None]
         hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "record.c")]
         return (self.folder / f"{self.controller.prefix}_loop.c", *packages, *hand_written)
 
@@ -49,13 +50,15 @@ def write_loop(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) 
     controller = build(scene, out / "controller", scalar)
     plant = build_plant(scene, out / "plant", scalar)
     watch = _build_watch(scene, simulation, out / "watch", scalar) if simulation.stop else None
+    course = _build_course(scene, simulation, out / "course", scalar) if simulation.motion else None
     folder = out / "loop"
     folder.mkdir(parents=True, exist_ok=True)
-    context = _context(scene, controller.module, plant.module, watch.module if watch else None)
+    others = {"watch": watch.module if watch else None, "course": course.module if course else None}
+    context = _context(scene, simulation, controller.module, plant.module, others)
     for suffix in ("h", "c"):
         text = environment().get_template(f"loop.{suffix}.j2").render(context)
         (folder / f"{controller.prefix}_loop.{suffix}").write_text(text, encoding="utf-8", newline="\n")
-    return LoopSources(controller, plant, watch, folder, _given(scene))
+    return LoopSources(controller, plant, watch, course, folder, _given(scene))
 
 
 def _build_watch(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> Package:
@@ -66,13 +69,34 @@ def _build_watch(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar
     return write(render(module), out, module, scene)
 
 
+def _build_course(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> Package:
+    """The references that move as one vector `course`."""
+    course = Quantity("course", ca.vertcat(*simulation.motion.values()), "", ", ".join(simulation.motion))
+    module = compile_functions(
+        scene, (course,), MassTreatment("identity", "no solve"), target_for(f"{scene.name}_course", scalar, None)
+    )
+    return write(render(module), out, module, scene)
+
+
+def _moving(simulation: Simulation, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Where each moving reference stands in `course`, and in the given ones."""
+    places = {f["name"]: f for f in given}
+    moving, start = [], 0
+    for name, expression in simulation.motion.items():
+        moving.append({"start": start, "offset": places[name]["offset"], "size": expression.numel()})
+        start += expression.numel()
+    return moving
+
+
 def _given(scene: Scene) -> tuple[StructField, ...]:
     varying = ("q", "u", "t", "tau")
     fields = [f for f in scene.input_fields() if f.name not in varying]
     return tuple(StructField(f.name, f.size, f.unit, f.text, f.default) for f in fields)
 
 
-def _context(scene: Scene, controller: Module, plant: Module, watch: Module | None) -> dict[str, Any]:
+def _context(
+    scene: Scene, simulation: Simulation, controller: Module, plant: Module, others: dict[str, Module | None]
+) -> dict[str, Any]:
     mech = scene.mechanism
     nq, nu = mech.q.size1(), mech.u.size1()
     given = _with_offsets(_given(scene))
@@ -80,8 +104,11 @@ def _context(scene: Scene, controller: Module, plant: Module, watch: Module | No
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "watch": watch,
-        "events": watch.entry_points[0].kernel.results[0].size if watch else 0,
+        **others,
+        "events": len(simulation.stop),
+        "moving": _moving(simulation, given),
+        "sigma_min": None if simulation.sigma_min is None else repr(simulation.sigma_min),
+        "tau_max": None if simulation.tau_max is None else repr(simulation.tau_max),
         "servo": scene.kind != "controls",
         "constraint": "phi" if scene.kind == "controls" else "psi",
         "given": given,
