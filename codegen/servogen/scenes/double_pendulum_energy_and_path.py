@@ -24,11 +24,11 @@ scene = sg.Scene(
 simulation = sg.Simulation(
     start={"q": [1.6, -1.8], "u": [-1.6, 0.8]},
     duration=5.0,
-    step=2.5e-4,
+    step=2.5e-5,
     outputs={"E": E, "K/E": K / E},
     decay={"E": (-1.0, ref.E_0)},
     stop={"K/E < 1e-3": K - 1e-3 * E},
-    sigma_min=1e-2,
-    tau_max=200.0,
+    sigma_min=0.2,
+    tau_max=100.0,
     units={"q": "rad", "u": "rad/s", "tau": "N m", "E": "J"},
 )

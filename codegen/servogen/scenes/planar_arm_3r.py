@@ -14,7 +14,7 @@ import servogen as sg
 
 
 def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> sg.Scene:
-    """damping: of the joints, N m s, as y = P-compensation - damping u; weight: W = Q^-1 instead of I."""
+    """damping: of the joints, N m s, as y = -damping omega; inverse_mass_weight: W = Q^-1 instead of I."""
     par = sg.Parameters(
         m=sg.Parameter([3.0, 2.0, 1.0], "kg", "masses of the links"),
         a=sg.Parameter([0.5, 0.4, 0.3], "m", "lengths of the links"),
@@ -56,7 +56,7 @@ def _points(q: Any, par: sg.Parameters) -> tuple[list[Any], Any]:
 
 
 def arm_run(scene: sg.Scene) -> sg.Simulation:
-    """A circle of 0.15 m in two seconds, from a start 0.1 m off it."""
+    """A circle of 0.15 m in two seconds, from a start 0.37 m off it."""
     assert scene.references is not None
     t = scene.mechanism.t
     rate = 3.141592653589793

@@ -28,20 +28,12 @@ axis = ca.vertcat(2 * (x * z + w * y), 2 * (y * z - w * x), w**2 - x**2 - y**2 +
 
 
 def draw(random: np.random.Generator) -> dict[str, np.ndarray]:
-    """A unit quaternion whose axis is within 75 degrees of the target, and a rate."""
-    turn, heading = random.uniform(0.0, 1.3), random.uniform(-np.pi, np.pi)
-    roll = random.uniform(-np.pi, np.pi)
-    tilt = np.array([np.cos(turn / 2), *(np.sin(turn / 2) * np.array([np.cos(heading), np.sin(heading), 0.0]))])
-    c, s = np.cos(roll / 2), np.sin(roll / 2)  # then about the instrument's axis, in the body
-    a, b, d, _ = tilt
-    quaternion = np.array([a * c, b * c + d * s, d * c - b * s, a * s])
-    return {"q": quaternion / np.linalg.norm(quaternion), "omega": random.uniform(-0.5, 0.5, 3)}
-
-
-def draw_state(random: np.random.Generator) -> dict[str, np.ndarray]:
-    """One state of the domain."""
-    state = draw(random)
-    return {"q": state["q"], "u": state["omega"]}
+    """One state of the domain: a unit quaternion whose axis is within 75 degrees of the target, and a rate."""
+    turn, heading, roll = random.uniform(0.0, 1.3), random.uniform(-np.pi, np.pi), random.uniform(-np.pi, np.pi)
+    a, b = np.cos(turn / 2), np.sin(turn / 2) * np.cos(heading)
+    d = np.sin(turn / 2) * np.sin(heading)
+    c, s = np.cos(roll / 2), np.sin(roll / 2)  # a tilt of the axis, then a roll about it
+    return {"q": np.array([a * c, b * c + d * s, d * c - b * s, a * s]), "u": random.uniform(-0.5, 0.5, 3)}
 
 
 scene = sg.Scene(
@@ -52,7 +44,7 @@ scene = sg.Scene(
         sg.Nonholonomic("spin", omega[2], Theta=-0.7),
     ],
     parameters=par,
-    domain=draw_state,
+    domain=draw,
 )
 
 simulation = sg.Simulation(
