@@ -19,16 +19,21 @@ from servogen.scene.solver import EPSILON, Scalar, Solver
 
 
 def build(
-    scene: Scene, out: str | Path | None = None, scalar: Scalar = "float64", prefix: str | None = None
+    scene: Scene,
+    out: str | Path | None = None,
+    scalar: Scalar = "float64",
+    prefix: str | None = None,
+    casadi_abi: bool = False,
 ) -> Package:
     """Generate the C of a scene.
 
     out: the package's folder; None makes a temporary one. scalar: "float64" or "float32".
     prefix: of all C names; default the scene's name, and name_f32 for float32.
+    casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
     Raises SceneError for anything wrong with the scene.
     """
     module = compile_scene(scene, target_for(scene.name, scalar, prefix))
-    return write(render(module), out, module, scene)
+    return write(render(module, casadi_abi), out, module, scene)
 
 
 def compile_scene(scene: Scene, target: Target) -> Module:

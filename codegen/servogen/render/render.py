@@ -43,8 +43,11 @@ def environment() -> Environment:
     return templates
 
 
-def render(module: Module) -> tuple[SourceFile, ...]:
-    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant."""
+def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
+    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant.
+
+    casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
+    """
     prefix = module.target.prefix
     templates = environment()
     context = _context(module)
@@ -54,6 +57,9 @@ def render(module: Module) -> tuple[SourceFile, ...]:
         SourceFile(f"{prefix}.c", templates.get_template(f"{kind}.c.j2").render(context)),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
+    if casadi_abi:
+        shim = templates.get_template("casadi.c.j2").render(context | _shim(module))
+        files.append(SourceFile(f"{prefix}_casadi.c", shim))
     return (*files, SourceFile("manifest.json", _manifest(module, files)))
 
 
@@ -79,6 +85,17 @@ def _context(module: Module) -> dict[str, Any]:
         "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
         "scene_y": _scene_y(module),
     }
+
+
+def _shim(module: Module) -> dict[str, Any]:
+    """The arguments of the external function: parameters, then inputs, each a dense column."""
+    assert module.control is not None
+    fields = [("params", f) for f in module.parameters] + [("in", f) for f in module.inputs]
+    arguments = [
+        {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
+        for k, (struct, f) in enumerate(fields)
+    ]
+    return {"arguments": arguments, "answer": "tau_dot" if module.control.system[0] == "A" else "tau"}
 
 
 def _emitted(module: Module) -> dict[str, bool]:

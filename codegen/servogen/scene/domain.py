@@ -48,7 +48,7 @@ def _draw_by_user(scene: Scene, draw: Any, count: int, generator: np.random.Gene
             rows[f.name].append(value)
         if state:
             raise SceneError(f"domain: {next(iter(state))!r} was drawn but is no input of scene {scene.name!r}")
-    return {name: np.array(values).reshape(count, -1) for name, values in rows.items()}
+    return {f.name: np.array(rows[f.name]).reshape(count, f.size) for f in fields}
 
 
 def boundary_states(scene: Scene) -> tuple[tuple[str, State], ...]:

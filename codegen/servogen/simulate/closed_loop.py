@@ -3,7 +3,9 @@
 import ctypes as ct
 import math
 import tempfile
+import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -104,8 +106,11 @@ class ClosedLoop:
         method = self.simulation.method if method is None else method
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
+        began = time.perf_counter()
         rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, METHODS.index(method), progress)
-        return self._trajectory(rows, marks, stop, inputs, values, step, hold, method)
+        seconds = time.perf_counter() - began
+        found = self._trajectory(rows, marks, stop, inputs, values, step, hold, method)
+        return replace(found, seconds=seconds)
 
     def _grid(self, duration: float | None, step: float | None) -> tuple[float, float, int]:
         duration = self.simulation.duration if duration is None else float(duration)

@@ -44,7 +44,8 @@ class Trajectory:
     q (N, n_q), u (N, n_u), tau (N, l) as applied at t, constraint (N, m): psi, or phi of a controls-involved scene;
     ideal (N, m): the same as prescribed by Theta from the start on.
     status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
-    output ought to be. parameters and inputs (y and references; (N, size) where one moves): as used. method: of the integration. step: between rows, seconds.
+    output ought to be. parameters and inputs (y and references; (N, size) where one moves): as used. method: of the integration; seconds: that it
+    took on this machine. step: between rows, seconds.
     """
 
     scene: str
@@ -66,6 +67,7 @@ class Trajectory:
     decay: dict[str, FloatArray] = field(default_factory=dict)
     parameters: dict[str, FloatArray] = field(default_factory=dict)
     inputs: dict[str, FloatArray] = field(default_factory=dict)
+    seconds: float = 0.0
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:
