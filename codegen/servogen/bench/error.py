@@ -27,7 +27,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     weight = formulation.weight
     factorised = formulation.factorised
     columns = inputs.columns()
-    l = scene.controls  # noqa: E741
+    l = scene.controls
     columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
     result: Truth = {output: [] for output in Output}
     for k, exact in enumerate(evaluate_exactly(lower(formulation), columns)):
@@ -35,11 +35,13 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
         y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
-        result[Output.ANSWER].append(_minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l))
+        result[Output.ANSWER].append(
+            _minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l)
+        )
     return result
 
 
-def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, weight: Weight, l: int) -> list[Any]:  # noqa: E741
+def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, weight: Weight, l: int) -> list[Any]:
     """L^-T times the minimum norm in L^T tau."""
     sigma = _minimum_norm(exact[factorised], right, exact.get("y_w", [mp.mpf(0)] * l))
     with mp.workdps(DIGITS):
@@ -49,7 +51,7 @@ def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, we
 def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
     """y + S+ (z - S y) for S of full row or column rank; NaN where it has neither."""
     with mp.workdps(DIGITS):
-        m, l = len(right), len(free)  # noqa: E741
+        m, l = len(right), len(free)
         if not all(mp.isfinite(x) for x in (*entries, *right, *free)):
             return [mp.nan] * l
         S = mp.matrix([entries[i * l : (i + 1) * l] for i in range(m)])

@@ -43,9 +43,7 @@ def list_scenes(as_json: bool) -> None:
 @out_option
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @json_option
-def generate(
-    scene: str, scalar: Scalar, prefix: str | None, out: Path | None, casadi_abi: bool, as_json: bool
-) -> None:
+def generate(scene: str, scalar: Scalar, prefix: str | None, out: Path | None, casadi_abi: bool, as_json: bool) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
     loaded = load_scene(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))

@@ -27,7 +27,9 @@ from servogen.simulate.trajectory import Trajectory
 @click.option("--step", type=float, help="Seconds between rows; default as in the scene's file, else 0.001.")
 @click.option("--method", type=click.Choice(METHODS), help="Of the integration; default as in the scene's file.")
 @click.option("--hold", is_flag=True, help="One tick of the controller a step, tau held in between, as in firmware.")
-@click.option("--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1.")
+@click.option(
+    "--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1."
+)
 @click.option("--reference", "references", multiple=True, metavar="NAME=NUMBERS", help="A reference, or y; constant.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBERS", help="A parameter of the model.")
 @click.option("--no-project", is_flag=True, help="Start from tau as given, even if phi is not zero there.")
@@ -144,7 +146,9 @@ def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Pa
     rows = [(n, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n in names]
     table(f"{trajectory.scene} ({summary['scalar']}): {trajectory.stop}", ("quantity", "start", "end"), rows)
     way = "one controller tick a step" if trajectory.hold else "controller in every stage"
-    out.print(f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False)
+    out.print(
+        f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
+    )
     psi = trajectory.constraint_name
     out.print(f"  {psi} off its prescribed decay by at most {summary['constraint_error']:.3g}", markup=False)
     for name, error in summary["decay_error"].items():

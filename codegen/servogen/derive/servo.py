@@ -38,9 +38,7 @@ def constraint_rows(scene: Scene) -> tuple[Any, Any, Any, Any]:
     return psi, J, X, prescribed
 
 
-def free_quantities(
-    scene: Scene, matrix: Any, name: str, equation: str, weight: Weight | None
-) -> tuple[Quantity, ...]:
+def free_quantities(scene: Scene, matrix: Any, name: str, equation: str, weight: Weight | None) -> tuple[Quantity, ...]:
     """y where it is an expression; with a weight W = L L^T instead the matrix times L^-T, L^T y and L^-T itself."""
     if weight is None:
         return (Quantity("y", scene.y, equation, "the free vector"),) if isinstance(scene.y, ca.SX) else ()

@@ -12,7 +12,7 @@ from servogen.scene.scene import Scene
 
 
 def weigh(scene: Scene) -> Weight | None:
-    """The factor of the scene's weight; None without one. SceneError unless symmetric by proof and positive definite."""
+    """The factor of the scene's weight, or None. SceneError unless symmetric by proof and positive definite."""
     W = scene.weight
     if W is None or _is_identity(W):
         return None
@@ -22,7 +22,7 @@ def weigh(scene: Scene) -> Weight | None:
         if np.all(np.isfinite(value)) and not _positive_definite(value):
             raise SceneError(
                 "weight is not positive definite over the domain: its smallest eigenvalue is "
-                f"{np.min(np.linalg.eigvalsh(value)):.6g} at a state of it; add a positive diagonal, or narrow the domain"
+                f"{np.min(np.linalg.eigvalsh(value)):.6g} at a state of it; add a positive diagonal, or narrow it"
             )
     L = _cholesky(W)
     N = _inverse_transpose(L)
@@ -33,7 +33,7 @@ def weigh(scene: Scene) -> Weight | None:
 
 
 def _is_identity(W: Any) -> bool:
-    l = W.size1()  # noqa: E741
+    l = W.size1()
     return all(W[i, j].is_one() if i == j else W[i, j].is_zero() for i in range(l) for j in range(l))
 
 
@@ -49,7 +49,7 @@ def _positive_definite(value: Any) -> bool:
 
 def _cholesky(W: Any) -> Any:
     """L, lower triangular, with L L^T = W; structural zeros stay zeros."""
-    l = W.size1()  # noqa: E741
+    l = W.size1()
     L = ca.SX(l, l)
     for j in range(l):
         pivot = W[j, j] - sum((L[j, k] ** 2 for k in range(j) if not L[j, k].is_zero()), ca.SX(0))
@@ -64,12 +64,14 @@ def _cholesky(W: Any) -> Any:
 
 def _inverse_transpose(L: Any) -> Any:
     """L^-T, upper triangular, by substitution."""
-    l = L.size1()  # noqa: E741
+    l = L.size1()
     inverse = ca.SX(l, l)  # L^-1, column by column
     for j in range(l):
         inverse[j, j] = 1 / L[j, j]
         for i in range(j + 1, l):
-            products = [L[i, k] * inverse[k, j] for k in range(j, i) if not (L[i, k].is_zero() or inverse[k, j].is_zero())]
+            products = [
+                L[i, k] * inverse[k, j] for k in range(j, i) if not (L[i, k].is_zero() or inverse[k, j].is_zero())
+            ]
             if products:
                 inverse[i, j] = -sum(products, ca.SX(0)) / L[i, i]
     return ca.sparsify(inverse).T

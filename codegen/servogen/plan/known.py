@@ -30,7 +30,7 @@ def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | No
 
 def known_operations(solver: SolverPlan, free: bool) -> dict[str, Operations]:
     """Floating-point operations of tau = y + S+ (z - S y) with S+ at hand; free: whether there is a y."""
-    m, l = solver.m, solver.l  # noqa: E741
+    m, l = solver.m, solver.l
     add, mul = l * (m - 1) + free * (m * l + l), l * m * (1 + free)
     return {"apply": {"total": add + mul, "add": add, "mul": mul, "div": 0, "sqrt": 0}}
 
@@ -41,7 +41,7 @@ def _renamed(program: Program, name: str) -> Program:
 
 def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
     """Exact rationals, unless the solver's tolerances or damping ask for another answer than the exact one."""
-    m, l = solver.m, solver.l  # noqa: E741
+    m, l = solver.m, solver.l
     matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
     values = exact.nearest(matrix)
     inverse, info = textbook_solver.pinv(values, solver)

@@ -67,24 +67,32 @@ def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
     lit = partial(literal, scalar=scalar)
-    plant = {"lit": lit, "bits": BITS[scalar], "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]}
-    numbers = plant if module.solver is None else solver_context(module.solver, module.target.prefix, lit)
-    return module.context() | numbers | {
-        "version": VERSION,
-        "title": _title(module),
-        "math": module.needs_libm,
-        "cost": lambda program: cost_of(program.operations()),
-        "prepare_cost": cost_of(module.prepare.program.operations()),
-        "solver_cost": _solver_cost(module),
-        "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
-        "statements": partial(statements, scalar=scalar),
-        "reads": reads,
-        "initialiser": partial(_initialiser, scalar=scalar),
-        "emit": _emitted(module),
-        "info_type": f"{module.target.prefix}_info",
-        "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
-        "scene_y": _scene_y(module),
+    plant = {
+        "lit": lit,
+        "bits": BITS[scalar],
+        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES],
     }
+    numbers = plant if module.solver is None else solver_context(module.solver, module.target.prefix, lit)
+    return (
+        module.context()
+        | numbers
+        | {
+            "version": VERSION,
+            "title": _title(module),
+            "math": module.needs_libm,
+            "cost": lambda program: cost_of(program.operations()),
+            "prepare_cost": cost_of(module.prepare.program.operations()),
+            "solver_cost": _solver_cost(module),
+            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
+            "statements": partial(statements, scalar=scalar),
+            "reads": reads,
+            "initialiser": partial(_initialiser, scalar=scalar),
+            "emit": _emitted(module),
+            "info_type": f"{module.target.prefix}_info",
+            "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
+            "scene_y": _scene_y(module),
+        }
+    )
 
 
 def _shim(module: Module) -> dict[str, Any]:

@@ -15,7 +15,13 @@ from servogen.scene.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 
-SCENES = ("double_pendulum_energy_free_y", "double_pendulum_energy", "double_pendulum_ideal", "spacecraft", "spacecraft_smooth")
+SCENES = (
+    "double_pendulum_energy_free_y",
+    "double_pendulum_energy",
+    "double_pendulum_ideal",
+    "spacecraft",
+    "spacecraft_smooth",
+)
 """The scenes the figures are of."""
 
 Curve = tuple[FloatArray, FloatArray, str]
@@ -72,10 +78,14 @@ def _pendulum(runs: dict[str, Trajectory]) -> Sheet:
             Panel(4, "velocity parameters [rad/s]", _columns(ideal, ideal.u, "u")),
             Panel(5, "ideal control torques [N m]", _columns(ideal, ideal.tau, "τ")),
         ),
-        "Figures 2 to 5, double pendulum. The paper prints neither masses, lengths nor the start: ours are those of the "
-        "scenes' files. Figure 2 reproduces the decay of E as exp(-t); it holds for as long as the mechanism keeps moving. "
-        f"Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time (t* = {ideal.stop.t:.2f} s, "
-        "K/E below 1e-3) with potential energy left, and the torques do not vanish with E as the paper remarks, but grow as "
+        "Figures 2 to 5, double pendulum. The paper prints neither masses, lengths nor the start: ours "
+        "are those of the "
+        "scenes' files. Figure 2 reproduces the decay of E as exp(-t); it holds for as long as the "
+        "mechanism keeps moving. "
+        f"Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time (t* = "
+        f"{ideal.stop.t:.2f} s, "
+        "K/E below 1e-3) with potential energy left, and the torques do not vanish with E as the paper "
+        "remarks, but grow as "
         "1/sqrt(K): G tau = Theta E Q u / (2 K).",
     )  # fmt: skip
 
@@ -86,7 +96,8 @@ def _chatter(run: Trajectory) -> Sheet:
         "paper_figures_6_to_12",
         3,
         (K, *_axes(7, run, run.u, "ω", "rad/s"), *_axes(10, run, run.tau, "τ", "rad/s²")),
-        "Figures 6 to 12, spacecraft with y = 0: K decays as 0.124 exp(-t) while velocities and controls chatter with a "
+        "Figures 6 to 12, spacecraft with y = 0: K decays as 0.124 exp(-t) while velocities and "
+        "controls chatter with a "
         f"frequency that grows without bound. Drawn to {run.t[-1]:g} s; later a period is too short for the step. The "
         "controls are torques over inertia, rad/s², not N m as printed.",
     )
@@ -101,7 +112,8 @@ def _smooth(run: Trajectory) -> Sheet:
             *_axes(16, run, run.u, "ω", "rad/s"),
             *_axes(19, run, run.tau, "τ", "rad/s²"),
         ),
-        "Figures 13 to 21, spacecraft with y = -tau: the same decay of K, all curves smooth. The free vector y, the angular "
+        "Figures 13 to 21, spacecraft with y = -tau: the same decay of K, all curves smooth. The free "
+        "vector y, the angular "
         "velocities and the controls, axis by axis.",
     )
 
@@ -112,7 +124,8 @@ def _columns(run: Trajectory, values: FloatArray, symbol: str) -> tuple[Curve, .
 
 def _axes(first: int, run: Trajectory, values: FloatArray, symbol: str, unit: str) -> list[Panel]:
     return [
-        Panel(first + k, f"${_tex(symbol)}_{k + 1}$ [{unit}]", ((run.t, values[:, k], ""),)) for k in range(values.shape[1])
+        Panel(first + k, f"${_tex(symbol)}_{k + 1}$ [{unit}]", ((run.t, values[:, k], ""),))
+        for k in range(values.shape[1])
     ]
 
 
@@ -121,7 +134,8 @@ def _tex(symbol: str) -> str:
 
 
 def _draw(sheet: Sheet, folder: Path) -> Path:
-    style = {"font.size": 10, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "legend.frameon": False,
+    style = {"font.size": 10, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6,
+             "legend.frameon": False,
              "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "servogen"}  # fmt: skip
     rows = _rows(sheet)
     with matplotlib.rc_context(style):

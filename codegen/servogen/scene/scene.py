@@ -69,14 +69,16 @@ class Scene:
             value = kind() if getattr(self, word) is None else getattr(self, word)
             if not isinstance(value, kind):
                 got = type(value).__name__
-                raise SceneError(f"scene {self.name!r}: {word} must be sg.{kind.__name__}(name=default, ...); got {got}")
+                raise SceneError(
+                    f"scene {self.name!r}: {word} must be sg.{kind.__name__}(name=default, ...); got {got}"
+                )
             object.__setattr__(self, word, value)
         if self.y is not None and not (isinstance(self.y, str) and self.y == "input"):
             if isinstance(self.y, str):
                 raise SceneError(f"y={self.y!r}; give None, an SX expression of the inputs, or 'input'")
             object.__setattr__(self, "y", column(self.y, "y", self.controls))
         if self.weight is not None:
-            l = self.controls  # noqa: E741
+            l = self.controls
             object.__setattr__(self, "weight", matrix(self.weight, "weight", l, l, "one row and column per control"))
         _check_mode(self)
         _check_kinds(self)

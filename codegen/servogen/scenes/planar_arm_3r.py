@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 import servogen as sg
+from servogen.scene.constraints import expression_of
 
 
 def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> sg.Scene:
@@ -62,13 +63,16 @@ def arm_run(scene: sg.Scene) -> sg.Simulation:
     rate = 3.141592653589793
     r = ca.vertcat(0.5 + 0.15 * ca.cos(rate * t), 0.4 + 0.15 * ca.sin(rate * t))
     along = {"r": r, "r_dot": ca.jacobian(r, t), "r_ddot": ca.jacobian(ca.jacobian(r, t), t)}
-    error = scene.constraints[0].psi
+    error = expression_of(scene.constraints[0])
     return sg.Simulation(
         start={"q": [0.2, 1.0, 0.8], "u": [0.0, 0.0, 0.0]},
         motion=along,
         duration=6.0,
         step=1e-3,
-        outputs={"tracking error": ca.norm_2(error), "kinetic energy": ca.bilin(scene.mechanism.Q, scene.mechanism.u, scene.mechanism.u) / 2},
+        outputs={
+            "tracking error": ca.norm_2(error),
+            "kinetic energy": ca.bilin(scene.mechanism.Q, scene.mechanism.u, scene.mechanism.u) / 2,
+        },
         units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "m", "tracking error": "m", "kinetic energy": "J"},
     )
 

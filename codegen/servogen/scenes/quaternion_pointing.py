@@ -1,7 +1,7 @@
 """A rigid body that points an instrument: four coordinates (a unit quaternion), three velocity parameters.
 
-q' = C(q) u / 2 keeps the quaternion's norm. The instrument's axis, fixed in the body, turns to a direction in space, and
-the body does not spin about it: two holonomic rows and one nonholonomic one for three torques.
+q' = C(q) u / 2 keeps the quaternion's norm. The instrument's axis, fixed in the body, turns to a direction in
+space, and the body does not spin about it: two holonomic rows and one nonholonomic one for three torques.
 """
 
 import casadi as ca

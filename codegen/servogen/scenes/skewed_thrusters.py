@@ -1,8 +1,8 @@
 """A craft held by eight skewed thrusters: three velocities, three rates, S constant up to the parameters, l > n.
 
 Each thruster pushes along a fixed direction from a fixed place, so G is numbers; with the craft's velocities and rates
-in its own axes, S = Q^-1 G depends on the mass and the inertia alone. Its pseudo-inverse is made by prepare: at each tick
-tau is two products of matrices, and the free vector pulls the thrusters towards their middle.
+in its own axes, S = Q^-1 G depends on the mass and the inertia alone. Its pseudo-inverse is made by prepare: at each
+tick tau is two products of matrices, and the free vector pulls the thrusters towards their middle.
 """
 
 import casadi as ca

@@ -54,7 +54,13 @@ def simulate(
     """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
     loop = ClosedLoop(scene, simulation, scalar)
     return loop.run(
-        start=start, duration=duration, step=step, references=references, parameters=parameters, hold=hold, project=project
+        start=start,
+        duration=duration,
+        step=step,
+        references=references,
+        parameters=parameters,
+        hold=hold,
+        project=project,
     )
 
 
@@ -65,7 +71,11 @@ class ClosedLoop:
     """
 
     def __init__(
-        self, scene: Scene, simulation: Simulation | None = None, scalar: Scalar = "float64", compiler: str | None = None
+        self,
+        scene: Scene,
+        simulation: Simulation | None = None,
+        scalar: Scalar = "float64",
+        compiler: str | None = None,
     ) -> None:
         if scalar not in EPSILON:
             raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
@@ -156,7 +166,9 @@ class ClosedLoop:
             )
         ]
         reals = _structs(self.scalar)
-        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project)
+        setup = reals.Setup(
+            *(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project
+        )
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
@@ -232,7 +244,8 @@ class ClosedLoop:
         entries = {(n, k): e[k] for n, e in self.simulation.motion.items() for k in range(e.numel())}
         values = self._evaluate({f"{n} {k}": e for (n, k), e in entries.items()}, columns)
         return {
-            n: np.stack([values[f"{n} {k}"] for k in range(e.numel())], axis=1) for n, e in self.simulation.motion.items()
+            n: np.stack([values[f"{n} {k}"] for k in range(e.numel())], axis=1)
+            for n, e in self.simulation.motion.items()
         }
 
     def _evaluate(self, expressions: Mapping[str, Any], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -242,7 +255,7 @@ class ClosedLoop:
             return {name: np.zeros(count) for name in expressions}
         symbols = known_symbols(self.scene)
         function = ca.Function("outputs", [s for _, s in symbols], list(expressions.values()))
-        values = function.map(count)(*(ca.DM(columns[n].astype(float).T) for n, _ in symbols))
+        values: Any = function.map(count)(*(ca.DM(columns[n].astype(float).T) for n, _ in symbols))
         values = values if isinstance(values, tuple) else (values,)
         return {n: np.array(v, dtype=float).ravel() for n, v in zip(expressions, values, strict=True)}
 
@@ -252,9 +265,7 @@ class ClosedLoop:
         rates = self._evaluate({n: rate for n, (rate, _) in decay.items()}, columns)
         limits = self._evaluate({n: limit for n, (_, limit) in decay.items()}, columns)
         t = columns["t"][:, 0].astype(float)
-        return {
-            n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay
-        }
+        return {n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay}
 
 
 class _Record(ct.Structure):

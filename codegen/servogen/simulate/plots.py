@@ -82,7 +82,11 @@ def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[P
 
 
 def _title(trajectory: Trajectory) -> str:
-    way = f"tau held for {trajectory.step:g} s" if trajectory.hold else f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
+    way = (
+        f"tau held for {trajectory.step:g} s"
+        if trajectory.hold
+        else f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
+    )
     return f"{trajectory.scene}: generated C in closed loop, {way}"
 
 
@@ -100,17 +104,23 @@ def _mark_stop(trajectory: Trajectory, axis: Any) -> None:
                       va="top", fontsize=9, color="#444444")  # fmt: skip
 
 
-def _curves(trajectory: Trajectory, values: FloatArray, names: Sequence[str], what: str, unit: str | None) -> list[Panel]:
+def _curves(
+    trajectory: Trajectory, values: FloatArray, names: Sequence[str], what: str, unit: str | None
+) -> list[Panel]:
     """All curves in one panel; one panel each where they chatter and would cover one another."""
     if not _chatters(values):
         return [partial(_together, trajectory.t, values, names, _axis(what, unit))]
     ones = range(values.shape[1])
-    return [partial(_together, trajectory.t, values[:, k : k + 1], names[k : k + 1], _axis(names[k], unit)) for k in ones]
+    return [
+        partial(_together, trajectory.t, values[:, k : k + 1], names[k : k + 1], _axis(names[k], unit)) for k in ones
+    ]
 
 
 def _together(t: FloatArray, values: FloatArray, names: Sequence[str], label: str, axis: Any) -> None:
     for k, name in enumerate(names):
-        axis.plot(t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=1.5 if len(names) > 1 else 0.9)
+        axis.plot(
+            t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=1.5 if len(names) > 1 else 0.9
+        )
     axis.set_ylabel(label)
     _legend(axis, len(names))
 
@@ -183,11 +193,13 @@ def _spans_decades(values: FloatArray) -> bool:
 
 def _legend(axis: Any, count: int) -> None:
     if count > 1:
-        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(count, 4), borderaxespad=0.1, handlelength=1.6)
+        axis.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(count, 4), borderaxespad=0.1, handlelength=1.6
+        )
 
 
 def _axis(name: str, unit: str | None) -> str:
-    """"K [J]", powers in the unit raised."""
+    """ "K [J]", powers in the unit raised."""
     if not unit:
         return name
     raised = re.sub(r"\^(-?[0-9]+)", r"$^{\1}$", unit)

@@ -70,7 +70,11 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
 
 
 def measure(
-    scene: Scene, simulation: Simulation, duration: float, steps: Sequence[float], scalars: Sequence[Scalar] = tuple(EPSILON)
+    scene: Scene,
+    simulation: Simulation,
+    duration: float,
+    steps: Sequence[float],
+    scalars: Sequence[Scalar] = tuple(EPSILON),
 ) -> tuple[Precision, ...]:
     """Every step size with every method and scalar; runs that end early are left out."""
     loops = {scalar: ClosedLoop(scene, simulation, scalar) for scalar in scalars}

@@ -13,7 +13,6 @@ from servogen.scene.convert import to_sx
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
-
 METHODS = ("rk4", "dop8")
 """The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
 
@@ -53,9 +52,7 @@ class Simulation:
         for what in ("outputs", "stop"):
             checked = {n: _scalar(e, f"simulation: {what}[{n!r}]") for n, e in getattr(self, what).items()}
             object.__setattr__(self, what, checked)
-        object.__setattr__(
-            self, "motion", {n: to_sx(e, f"simulation: motion[{n!r}]") for n, e in self.motion.items()}
-        )
+        object.__setattr__(self, "motion", {n: to_sx(e, f"simulation: motion[{n!r}]") for n, e in self.motion.items()})
         for name in ("sigma_min", "tau_max"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
@@ -67,7 +64,6 @@ class Simulation:
                 raise SceneError(f"simulation: decay[{name!r}] belongs to no output; add it to outputs")
         decay = {n: tuple(_scalar(e, f"simulation: decay[{n!r}]") for e in pair) for n, pair in self.decay.items()}
         object.__setattr__(self, "decay", decay)
-
 
     @property
     def events(self) -> tuple[str, ...]:
@@ -101,7 +97,9 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
-            raise SceneError(f"simulation: units[{name!r}] belongs to nothing that is drawn; there are {', '.join(names)}")
+            raise SceneError(
+                f"simulation: units[{name!r}] belongs to nothing that is drawn; there are {', '.join(names)}"
+            )
 
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:

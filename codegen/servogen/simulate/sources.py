@@ -20,7 +20,9 @@ from servogen.version import VERSION
 
 @dataclass(frozen=True, eq=False)
 class LoopSources:
-    """Everything that is compiled: packages (watch: the stop expressions, course: the references that move) and the folder of <prefix>_loop.[ch].
+    """Everything that is compiled: the packages, and the folder of <prefix>_loop.[ch].
+
+    watch: the stop expressions; course: the references that move.
 
     given: the inputs that are constant over a run (y and references) in the order of the C.
     """

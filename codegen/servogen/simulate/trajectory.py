@@ -44,8 +44,8 @@ class Trajectory:
     q (N, n_q), u (N, n_u), tau (N, l) as applied at t, constraint (N, m): psi, or phi of a controls-involved scene;
     ideal (N, m): the same as prescribed by Theta from the start on.
     status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
-    output ought to be. parameters and inputs (y and references; (N, size) where one moves): as used. method: of the integration; seconds: that it
-    took on this machine. step: between rows, seconds.
+    output ought to be. parameters and inputs (y and references; (N, size) where one moves): as used. method:
+    of the integration; seconds: that it took on this machine. step: between rows, seconds.
     """
 
     scene: str

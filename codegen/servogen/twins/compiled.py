@@ -152,7 +152,10 @@ class CompiledTwin(Twin):
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
         status = Status(self._function(entry)(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
-        shaped = (o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o for o, r in zip(outputs, results, strict=True))
+        shaped = (
+            o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
+            for o, r in zip(outputs, results, strict=True)
+        )
         return status, tuple(shaped)
 
     def _results(self, entry: str) -> tuple[Result, ...]:

@@ -68,7 +68,7 @@ class ReferenceTwin(Twin):
         return Status.OK, result
 
     def parts(self, inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """What the formulas are made of: psi, J, X, the prescribed rate, Q, P, G, y, and the weight where there is one."""
+        """What the formulas are made of: psi, J, X, the prescribed rate, Q, P, G, y, and the weight if there is one."""
         rounded = {n: self._round(v) for n, v in inputs.items()}
         values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
         return {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}

@@ -131,20 +131,28 @@ class Truth:
         results = tuple(r.name for r in control.kernel.results)
         status = self._evaluated(k, results, bool(control.kernel.guards))
         if control.reaction is None:
-            return self._unweighted(point, self._solved(point, control.matrix, control.system[1], status, self._free(k)))
+            return self._unweighted(
+                point, self._solved(point, control.matrix, control.system[1], status, self._free(k))
+            )
         reaction = self.reactions[k]
-        status = status if status < 0 else Status.OK if reaction.status == ANY_ANSWER else Status(min(0, reaction.status))
+        status = (
+            status if status < 0 else Status.OK if reaction.status == ANY_ANSWER else Status(min(0, reaction.status))
+        )
         if status < 0 or not np.isfinite(reaction.tolerance):
             unknown = status if status < 0 else ANY_ANSWER
             return Answer([mp.mpf(0)] * self.solver.l, np.inf, unknown, ANY_RANK)
         R = np.array([float(v) for v in reaction.tau]).astype(self.dtype)
         limits = np.full(len(R), reaction.tolerance)
-        with_R = Point(point.values | {"R": reaction.tau}, point.bounds | {"R": limits}, point.rounded | {"R": R}, status)
+        with_R = Point(
+            point.values | {"R": reaction.tau}, point.bounds | {"R": limits}, point.rounded | {"R": R}, status
+        )
         answer = self._unweighted(point, self._solved(with_R, control.matrix, "R", status, self._free(k)))
         if 0 < answer.status <= Status.RANK_DEFICIENT_INCONSISTENT and np.any(R):
             return Answer(answer.tau, answer.tolerance, ANY_ANSWER, answer.rank)  # R's own errors decide consistency
         both = ANY_ANSWER in (answer.status, reaction.status) and answer.status >= 0
-        status_of_both = ANY_ANSWER if both else max(answer.status, reaction.status) if answer.status >= 0 else answer.status
+        status_of_both = (
+            ANY_ANSWER if both else max(answer.status, reaction.status) if answer.status >= 0 else answer.status
+        )
         return Answer(answer.tau, answer.tolerance, status_of_both, answer.rank)
 
     def _reaction(self, k: int) -> Answer:
@@ -173,7 +181,9 @@ class Truth:
         with mp.workdps(DIGITS):
             tau = [mp.fsum(entries[e] * sigma.tau[j] for e, j in row) for row in pattern]
         size, reach = _norm(entries), _norm(sigma.tau)
-        tolerance = size * sigma.tolerance + _norm(point.bounds["recover"]) * reach if sigma.tolerance < np.inf else np.inf
+        tolerance = (
+            size * sigma.tolerance + _norm(point.bounds["recover"]) * reach if sigma.tolerance < np.inf else np.inf
+        )
         tolerance += (len(pattern) + 1) * self.solver.epsilon * size * reach
         return Answer(tau, tolerance, sigma.status, sigma.rank)
 
