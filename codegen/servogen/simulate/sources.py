@@ -23,7 +23,6 @@ class LoopSources:
     """Everything that is compiled: the packages, and the folder of <prefix>_loop.[ch].
 
     watch: the stop expressions; course: the references that move.
-
     given: the inputs that are constant over a run (y and references) in the order of the C.
     """
 
