@@ -6,13 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
+from hypothesis import given
+from hypothesis import strategies as st
 from servogen.scene.domain import draw_states
 from servogen.scenes import double_pendulum_ideal
 from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, par, q, ref, tau, u
 from servogen.scenes.double_pendulum_energy_free_y import scene as free_y
 from servogen.scenes.double_pendulum_energy_free_y import simulation as free_run
 from servogen.simulate.closed_loop import ClosedLoop
-from support.models import MASSES, random_scene
+from support.models import MASSES, derived, random_scene
+from support.programs import examples
 
 
 def ideal(seed: int, kind: str = "mixed", mass: str = "spd", l: int = 3) -> sg.Scene:
@@ -156,3 +159,22 @@ def test_errors() -> None:
         sg.Scene("s", mech, rows, par, ref, mode="ideal")
     with pytest.raises(sg.SceneError, match="choose 'servo' or 'ideal'"):
         sg.Scene("s", mech, rows[:1], par, ref, mode="other")
+
+
+@examples(8)
+@given(seed=st.integers(0, 10_000), mass=st.sampled_from(MASSES), kind=st.sampled_from(["holonomic", "mixed"]))
+def test_T_u_dot_is_F_on_random_models(seed: int, mass: str, kind: str) -> None:
+    """With u' = Q^-1 (P + R): both forms are the same motion, and it obeys the constraint rows J u' = b."""
+    scene = ideal(seed, kind, mass)
+    _, quantities = derived(scene)
+    for state in states_of(scene, 3, seed):
+        found, parts = quantities(**state), sg.reference(scene).parts(sg.reference(scene).read_inputs(state))
+        matrix, right = found["reaction_matrix"], found["reaction_right"].ravel()
+        if np.linalg.cond(matrix) > 1e4 or np.linalg.cond(found["T"]) > 1e6:
+            continue
+        R = found["J"].T @ np.linalg.solve(matrix, right)
+        u_dot = np.linalg.solve(parts["Q"], parts["P"].ravel() + R)
+        size = np.linalg.norm(found["T"]) * np.linalg.norm(u_dot) + np.linalg.norm(found["F"])
+        assert np.linalg.norm(found["T"] @ u_dot - found["F"].ravel()) <= 1e-8 * size
+        b = (parts["prescribed"] - parts["X"]).ravel()
+        assert np.allclose(parts["J"] @ u_dot, b, rtol=1e-8, atol=1e-8 * (1 + np.linalg.norm(b)))

@@ -27,7 +27,7 @@ CONSISTENCY = 8
 """A row is met when its residual is below CONSISTENCY max(m, l) u (|S_i| (|tau| + |y|) + |z_i|): a backward error."""
 
 PATH_MEANING: dict[Path, str] = {
-    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made by prepare",
+    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made at generation, or by prepare",
     Path.CLOSED_FORM: "one row or one column",
     Path.NORMAL: "normal equations, certified and refined",
     Path.QR: "pivoted QR, certified and refined",
