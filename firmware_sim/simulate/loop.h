@@ -18,11 +18,12 @@
 /* Why a run ended. */
 enum {
     SIM_RUNNING = 0,
-    SIM_FINISHED = 1,       /* all steps done */
-    SIM_EVENT = 2,          /* detail: which stop expression became <= 0 */
-    SIM_CONTROLLER = 3,     /* detail: the controller's negative status */
-    SIM_PLANT = 4,          /* detail: the plant's negative status */
-    SIM_STOP_EXPRESSION = 5 /* detail: the negative status of a stop expression that is no number */
+    SIM_FINISHED = 1,        /* all steps done */
+    SIM_EVENT = 2,           /* detail: which stop expression became <= 0 */
+    SIM_CONTROLLER = 3,      /* detail: the controller's negative status */
+    SIM_PLANT = 4,           /* detail: the plant's negative status */
+    SIM_STOP_EXPRESSION = 5, /* detail: the negative status of a stop expression that is no number */
+    SIM_REFERENCE = 6        /* detail: the same of a reference that moves */
 };
 
 typedef struct {

@@ -45,21 +45,27 @@ def test_the_way_that_is_chosen(mass: str) -> None:
         assert formulation.mass.method == METHOD[mass]
 
 
-@pytest.mark.parametrize("mass", MASSES)
-@pytest.mark.parametrize("n", [1, 2, 4])
+@pytest.mark.parametrize(
+    ("mass", "n"),
+    [(mass, n) for mass in MASSES for n in (1, 2, 4) if n > 1 or mass not in ("exchange", "nonsymmetric")],
+)
 @pytest.mark.parametrize("transposed", [False, True])
 def test_the_solution_solves(mass: str, n: int, transposed: bool) -> None:
-    if mass in ("exchange", "nonsymmetric") and n == 1:
-        pytest.skip("one by one matrices are symmetric")
     scene_model = random_model(5, n, n, mass)
     mech = scene_model.mechanism
-    scene = sg.Scene("solve", mech, [sg.Nonholonomic("all", mech.u, -1.0)], scene_model.parameters, scene_model.references)
+    scene = sg.Scene(
+        "solve", mech, [sg.Nonholonomic("all", mech.u, -1.0)], scene_model.parameters, scene_model.references
+    )
     right = ca.SX.sym("b", n, 3)
     solution, _ = solve_with_mass(scene, right, transposed)
     inputs = [(Input("q", mech.q.size1()), mech.q), (Input("t", 1), mech.t), (Input("b", 3 * n), ca.vec(right))]
     program = optimise(lower_expressions("solve", inputs, [("x", solution), ("Q", mech.Q)]))
     rng = np.random.default_rng(0)
-    states = {"q": rng.uniform(-3, 3, (20, mech.q.size1())), "t": rng.uniform(0, 3, (20, 1)), "b": rng.normal(size=(20, 3 * n))}
+    states = {
+        "q": rng.uniform(-3, 3, (20, mech.q.size1())),
+        "t": rng.uniform(0, 3, (20, 1)),
+        "b": rng.normal(size=(20, 3 * n)),
+    }
     values = evaluate(program, states)
     for k in range(20):
         Q = values["Q"][k].T if transposed else values["Q"][k]
@@ -113,7 +119,7 @@ def test_identity_and_diagonal_leave_no_solve() -> None:
 def test_constant_mass_of_either_sign() -> None:
     for Q in ([[2.0, 1.0], [1.0, 2.0]], [[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, -2.0], [3.0, 0.0]]):
         program_S = sg.reference(small(ca.DM(Q))).S(q=[0, 0], u=[0, 0])
-        S = sg.build(small(ca.DM(Q))).load().S(q=[0, 0], u=[0, 0])
+        S = sg.build(small(ca.DM(Q))).load(flags=["-O0"]).S(q=[0, 0], u=[0, 0])
         np.testing.assert_allclose(S, program_S, rtol=1e-15)
         np.testing.assert_allclose(S.ravel(), np.linalg.solve(np.array(Q).T, [1.0, 0.5]), rtol=1e-15)
 
@@ -122,7 +128,7 @@ def test_constant_mass_of_either_sign() -> None:
 
 
 def run(scene: sg.Scene) -> tuple[Any, Any]:
-    return sg.build(scene).load(), sg.reference(scene)
+    return sg.build(scene).load(flags=["-O0"]), sg.reference(scene)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +139,7 @@ def run(scene: sg.Scene) -> tuple[Any, Any]:
         (entries(1 + q[1], q[0], q[0], 1), [1.0, 0.0], [0.5, 0.0]),
         (entries(q[0], 1, 0, q[1]), [0.0, 1.0], [1.0, 1.0]),
         (entries(q[0], 1, 2, q[1]), [1.0, 2.0], [0.0, 0.0]),
-        (entries(0, q[0], 1, 0), [0.0, 0.0], [-2.0, 0.0]),
+        (entries(0, 1, q[0], 0), [0.0, 0.0], [-2.0, 0.0]),
     ],
 )
 def test_singular_mass_at_a_state(Q: Any, bad: list[float], good: list[float]) -> None:
@@ -148,13 +154,10 @@ def test_singular_mass_at_a_state(Q: Any, bad: list[float], good: list[float]) -
         assert twin.control(q=good, u=[1, 1]).info.status == sg.Status.OK
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="later pivots are NaN after a first one of zero, and templates/evaluation.c.j2 asks for NaN before it asks for zero",
-)
-def test_singular_mass_at_the_first_pivot() -> None:
-    """Q = [[q^2, q], [q, 2]] at q = 0: the status is SINGULAR_MASS, whichever pivot tells."""
-    compiled, reference = run(small(entries(q[0] ** 2, q[0], q[0], 2)))
+@pytest.mark.parametrize("Q", [entries(q[0] ** 2, q[0], q[0], 2), entries(0, q[0], 1, 0)])
+def test_singular_mass_at_the_first_pivot(Q: Any) -> None:
+    """At q = 0 the status is SINGULAR_MASS, whichever pivot tells."""
+    compiled, reference = run(small(Q))
     assert reference.control(q=[0.0, 0.0], u=[1, 1]).info.status == sg.Status.SINGULAR_MASS
     assert compiled.control(q=[0.0, 0.0], u=[1, 1]).info.status == sg.Status.SINGULAR_MASS
 
@@ -162,7 +165,7 @@ def test_singular_mass_at_the_first_pivot() -> None:
 def test_nearly_singular_mass_is_singular_to_working_precision() -> None:
     scene = small(entries(1, q[0], q[0], 1), {"q": (-0.9, 0.9)})
     for scalar, gap in (("float64", 1e-17), ("float32", 1e-9)):
-        twin = sg.build(scene, scalar=scalar).load()  # type: ignore[arg-type]
+        twin = sg.build(scene, scalar=scalar).load(flags=["-O0"])  # type: ignore[arg-type]
         assert twin.control(q=[1.0 - gap, 0], u=[1, 1]).info.status == sg.Status.SINGULAR_MASS
         assert twin.control(q=[0.999, 0], u=[1, 1]).info.status == sg.Status.OK
 
@@ -177,17 +180,14 @@ def test_small_masses_are_not_singular() -> None:
 
 
 @pytest.mark.parametrize(
-    "Q",
+    ("Q", "bad"),
     [
-        ca.diag(ca.vertcat(par.a, 1)),
-        entries(1, par.a / 4, par.a / 4, 1),
-        entries(par.a / 4 - 1, 1, 1, par.a / 4 - 1),
+        (ca.diag(ca.vertcat(par.a, 1)), 0.0),
+        (entries(1, par.a / 4, par.a / 4, 1), 4.0),
+        (entries(par.a / 4 - 1, 1, 1, par.a / 4 - 1), 8.0),
     ],
 )
-def test_singular_mass_of_parameters_is_told_by_prepare(Q: Any) -> None:
-    bad = 0.0 if "diag" in str(Q) or Q[0, 1].is_zero() else 4.0
-    if Q[0, 0].is_constant() is False and not Q[0, 1].is_zero():
-        bad = 8.0
+def test_singular_mass_of_parameters_is_told_by_prepare(Q: Any, bad: float) -> None:
     scene = small(Q)
     state = {"q": [0.1, 0.2], "u": [1.0, -1.0]}
     answers = []
@@ -208,6 +208,7 @@ def test_singular_mass_of_parameters_is_told_by_prepare(Q: Any) -> None:
 def test_plant_is_the_mechanism(mass: str) -> None:
     scene = random_scene(4, "nonholonomic", mass=mass)
     quantities, _ = derive_plant(scene)
+    assert [q.name for q in quantities] == ["q_dot", "u_dot"]
     mech = scene.mechanism
     symbols = [f.symbol for f in scene.input_fields()] + [mech.tau] + [f.symbol for f in scene.parameters or ()]
     parts = [q.expression for q in quantities] + [mech.q_dot, mech.Q, mech.P, mech.G]
@@ -216,5 +217,5 @@ def test_plant_is_the_mechanism(mass: str) -> None:
     values = [rng.uniform(-1, 1, s.size1()) for s in symbols]
     q_dot, u_dot, given, Q, P, G = (v.full() for v in function.call([ca.DM(v) for v in values]))
     np.testing.assert_allclose(q_dot, given, rtol=1e-14)
-    force = values[[q.name for q in quantities].index("u_dot") * 0 + len(scene.input_fields())].reshape(-1, 1)
+    force = values[len(scene.input_fields())].reshape(-1, 1)
     np.testing.assert_allclose(Q @ u_dot, P + G @ force, rtol=1e-9, atol=1e-9)

@@ -96,11 +96,16 @@ def test_evaluators_agree(row: Op) -> None:
         with mp.workdps(50):
             for k in range(len(value)):
                 true = row.mpmath(*(mp.mpf(float(v[k])) for v in x))
-                assert abs(mp.mpf(float(value[k])) - true) <= allowed * epsilon * abs(true), (row.name, [v[k] for v in x])
+                assert abs(mp.mpf(float(value[k])) - true) <= allowed * epsilon * abs(true), (
+                    row.name,
+                    [v[k] for v in x],
+                )
                 exact = row.exact(*(Fraction(float(v[k])) for v in x)) if row.exact else None
                 if exact is not None:
                     exact = Fraction(exact)
-                    assert abs(mp.mpf(exact.numerator) / exact.denominator - true) <= mp.mpf(10) ** -48 * (1 + abs(true))
+                    assert abs(mp.mpf(exact.numerator) / exact.denominator - true) <= mp.mpf(10) ** -48 * (
+                        1 + abs(true)
+                    )
 
 
 @pytest.mark.parametrize("row", [r for r in ROWS if r.exact], ids=[r.name for r in ROWS if r.exact])
@@ -146,7 +151,8 @@ def test_partials_of_steps_are_zero(name: str) -> None:
 def test_commutative_rows_commute_and_others_do_not() -> None:
     for row in (r for r in ROWS if r.arity == 2):
         a, b = operands(row)
-        assert np.array_equal(row.numpy(a, b), row.numpy(b, a)) == row.commutative, row.name
+        with np.errstate(invalid="ignore"):
+            assert np.array_equal(row.numpy(a, b), row.numpy(b, a)) == row.commutative, row.name
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +164,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ct.CDLL:
             arguments = ", ".join(f"{real} {x}" for x in "ab"[: row.arity])
             name = f"op_{row.name}_{real}"
             value = row.c.format("a", "b", f=suffix, real=real)
-            text += [f"{real} {name}({arguments});", f"{real} {name}({arguments}) {{ const {real} t = {value}; return t; }}"]
+            text += [
+                f"{real} {name}({arguments});",
+                f"{real} {name}({arguments}) {{ const {real} t = {value}; return t; }}",
+            ]
     folder: Path = tmp_path_factory.mktemp("ops")
     (folder / "ops.c").write_text("\n".join(text) + "\n")
     flags = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
@@ -232,7 +241,7 @@ def test_every_casadi_operation_has_a_row_or_is_refused() -> None:
     x = ca.SX.sym("x")
     program = lower_expressions("f", [(Input("x", 1), x)], [("a", x * x), ("b", 2 * x), ("c", 1 / x), ("d", x**3.5)])
     assert {i.op for i in program.instrs} <= set(OPS) | {"input", "const"}
-    assert ABBREVIATIONS >= {ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_CONSTPOW}
+    assert {ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_CONSTPOW} <= ABBREVIATIONS
     assert unsupported_operations(ca.erf(x) + ca.sin(x)) == [("erf", ca.OP_ERF)]
     assert unsupported_operations(ca.SX(3)) == []
     for build in (ca.sinh, ca.log1p, ca.hypot, ca.fmod, ca.remainder, ca.copysign):

@@ -18,7 +18,7 @@ from support.programs import ANY, INPUTS, TAME, examples, programs, random_state
 # ---- text ----
 
 
-@examples(100)
+@examples(60)
 @given(programs(ops=ANY))
 def test_text_reads_back(program: Program) -> None:
     assert parse(str(program)) == program
@@ -30,7 +30,8 @@ def test_text_is_as_documented() -> None:
     program = Program(
         "f",
         (Input("m", 1, "parameter"), Input("q", 2)),
-        (Instr("input", (), ("m", 0)), Instr("input", (), ("q", 1)), Instr("const", (), Fraction(-1, 3)), Instr("mul", (0, 1))),
+        (Instr("input", (), ("m", 0)), Instr("input", (), ("q", 1)), Instr("const", (), Fraction(-1, 3)),
+         Instr("mul", (0, 1))),
         (Output("S", 1, 2, (3, 2)), Output("none", 0, 1, ())),
     )  # fmt: skip
     text = (
@@ -50,7 +51,7 @@ X = Instr("input", (), ("x", 0))
     ("inputs", "instrs", "outputs", "words"),
     [
         ((Input("x", 1), Input("x", 2)), (X,), (), "two inputs share a name"),
-        ((Input("x", 1),), (X, Instr("sin", (1,))), (), "instruction 1: sin refers to an instruction that is not before"),
+        ((Input("x", 1),), (X, Instr("sin", (1,))), (), "instruction 1: sin refers to an instruction that is"),
         ((Input("x", 1),), (X, Instr("sin", (2,)), X), (), "instruction 1: sin refers"),
         ((Input("x", 1),), (X, Instr("sin", (-1,))), (), "instruction 1: sin refers"),
         ((Input("x", 1),), (Instr("input", (), ("x", 1)),), (), "instruction 0: input"),
@@ -93,7 +94,14 @@ def test_live_and_rebuild(program: Program) -> None:
 
 
 def test_operations_are_free_of_leaves_and_signs() -> None:
-    instrs = (X, Instr("const", (), Fraction(2)), Instr("neg", (0,)), Instr("mul", (1, 2)), Instr("sin", (3,)), Instr("sin", (0,)))
+    instrs = (
+        X,
+        Instr("const", (), Fraction(2)),
+        Instr("neg", (0,)),
+        Instr("mul", (1, 2)),
+        Instr("sin", (3,)),
+        Instr("sin", (0,)),
+    )
     program = Program("f", (Input("x", 1),), instrs, (Output("o", 2, 1, (4, 5)),))
     assert program.operations() == {"total": 3, "mul": 1, "sin": 2}
 
@@ -132,7 +140,7 @@ def graphs(draw: Any) -> tuple[list[tuple[Input, Any]], list[tuple[str, Any]]]:
     return [(Input("x", 3), x), (Input("p", 2, "parameter"), p)], outputs
 
 
-@examples(120)
+@examples(70)
 @given(graphs(), st.integers(0, 2**32 - 1))
 def test_lowered_programs_agree_with_casadi(graph: Any, seed: int) -> None:
     inputs, outputs = graph
@@ -142,7 +150,9 @@ def test_lowered_programs_agree_with_casadi(graph: Any, seed: int) -> None:
     states = {"x": np.round(rng.uniform(-3, 3, (4, 3)), 1), "p": np.round(rng.uniform(-3, 3, (4, 2)), 1)}
     values = evaluate(program, states)
     for n in range(4):
-        for (label, _), true in zip(outputs, function.call([ca.DM(states["x"][n]), ca.DM(states["p"][n])]), strict=True):
+        for (label, _), true in zip(
+            outputs, function.call([ca.DM(states["x"][n]), ca.DM(states["p"][n])]), strict=True
+        ):
             assert values[label][n].shape == true.shape
             np.testing.assert_allclose(values[label][n], true.full(), rtol=1e-10, atol=1e-10)
 
@@ -211,7 +221,15 @@ def test_fifty_digits_are_fifty() -> None:
 
 @pytest.mark.parametrize(
     ("op", "args"),
-    [("sqrt", (-1,)), ("log", (-1,)), ("acos", (2,)), ("div", (0, 0)), ("div", (1, 0)), ("pow", (-1, 0.5)), ("fmod", (1, 0))],
+    [
+        ("sqrt", (-1,)),
+        ("log", (-1,)),
+        ("acos", (2,)),
+        ("div", (0, 0)),
+        ("div", (1, 0)),
+        ("pow", (-1, 0.5)),
+        ("fmod", (1, 0)),
+    ],
 )
 def test_what_has_no_value_is_not_finite(op: str, args: tuple[float, ...]) -> None:
     instrs = (*(Instr("const", (), Fraction(a)) for a in args), Instr(op, tuple(range(len(args)))))
@@ -221,7 +239,9 @@ def test_what_has_no_value_is_not_finite(op: str, args: tuple[float, ...]) -> No
 
 
 def test_constants_beyond_the_type_are_infinite() -> None:
-    program = Program("f", (), (Instr("const", (), Fraction(10) ** 400), Instr("neg", (0,))), (Output("o", 1, 1, (1,)),))
+    program = Program(
+        "f", (), (Instr("const", (), Fraction(10) ** 400), Instr("neg", (0,))), (Output("o", 1, 1, (1,)),)
+    )
     assert node_values(program, {})[0][0] == np.inf
     assert evaluate(program, {}, np.float32)["o"][0, 0, 0] == -np.inf
 

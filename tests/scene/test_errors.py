@@ -89,7 +89,7 @@ def test_row_vectors_are_turned() -> None:
     [
         (lambda: sg.Nonholonomic("task", ca.SX(2, 2), -1.0), ("constraint 'task': psi has shape 2x2", "column")),
         (lambda: sg.Nonholonomic("task", ca.SX(0, 1), -1.0), ("constraint 'task': psi is empty",)),
-        (lambda: sg.Nonholonomic("task", u, [-1.0] * 3), ("constraint 'task': Theta has shape 3x1", "vector of 2", "2x2")),
+        (lambda: sg.Nonholonomic("task", u, [-1.0] * 3), ("'task': Theta has shape 3x1", "vector of 2", "2x2")),
         (lambda: sg.Nonholonomic("task", u, -np.eye(3)), ("constraint 'task': Theta has shape 3x3",)),
         (lambda: sg.Holonomic("path", q, [-1.0] * 3, -1.0), ("constraint 'path': Theta1 has shape 3x1",)),
         (lambda: sg.Holonomic("path", q, -1.0, -np.eye(3)), ("constraint 'path': Theta2 has shape 3x3",)),
@@ -251,7 +251,8 @@ def test_unstable_theta_vector() -> None:
 
 
 @pytest.mark.parametrize(
-    "Theta", [[[-1, 2], [2, -1]], [[0, 1], [-1, 0]], [[1, -2], [1, -1]], [[-1, 1], [1, -1]], [[-0.1, -0.3], [-0.3, -0.9]]]
+    "Theta",
+    [[[-1, 2], [2, -1]], [[0, 1], [-1, 0]], [[1, -2], [1, -1]], [[-1, 1], [1, -1]], [[-0.1, -0.3], [-0.3, -0.9]]],
 )
 def test_unstable_theta_matrix(Theta: Any) -> None:
     refused(lambda: sg.Nonholonomic("task", u, Theta), "constraint 'task': Theta is unstable", "Hurwitz")
@@ -325,7 +326,7 @@ def test_theta_of_parameters_is_judged_at_their_defaults() -> None:
         (lambda: speed(Theta=float("nan")), ("constraint 'speed': Theta has an entry nan",)),
         (lambda: speed(Theta=None), ("constraint 'speed': Theta is None",)),
         (lambda: speed(ca.vertcat(u[0], ca.inf)), ("constraint 'speed': psi has an entry inf",)),
-        (lambda: scene([speed(u[0] + ca.SX(ca.inf) * q[0])]), ("constraint 'speed': psi holds the constant inf", "finite")),
+        (lambda: scene([speed(u[0] + ca.SX(ca.inf) * q[0])]), ("'speed': psi holds the constant inf", "finite")),
         (lambda: scene(mech=mechanism(P=ca.vertcat(q[0] + float("nan"), 0))), ("P", "nan", "finite")),
         (lambda: scene(y=[0.0, np.nan]), ("y has an entry nan",)),
         (lambda: sg.Parameters(a=float("inf")), ("parameter 'a'", "inf", "not finite")),
@@ -361,7 +362,7 @@ def test_constants_that_do_not_fit_the_type() -> None:
         (lambda: sg.References(r=sg.Ref(0.0, order=3)), ("reference 'r'", "order=3", "0, 1 or 2")),
         (lambda: sg.References(r=sg.Ref(0.0, order=1), r_dot=0.0), ("r_dot", "collides", "rename")),
         (lambda: sg.References(r_dot=0.0, r=sg.Ref(0.0, order=1)), ("r_dot", "collides", "rename")),
-        (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the reference")),
+        (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the ref")),
         (lambda: sg.Solver(method="qr"), ("method='qr'", "'auto' or 'svd'")),  # type: ignore[arg-type]
         (lambda: sg.Solver(rank="full"), ("rank='full'",)),  # type: ignore[arg-type]
         (lambda: sg.Solver(rtol=1.0), ("rtol=1.0",)),
@@ -394,8 +395,12 @@ def test_references_of_too_low_order() -> None:
         lambda: built([path], references=ref),
         "constraint 'path' needs the derivative of 'r_dot'", "reference 'r'", "order=2",
     )  # fmt: skip
-    refused(lambda: built([speed(u[0] - ref.r_dot)], references=ref), "'speed' needs the derivative of 'r_dot'", "order=2")
-    message = refused(lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "2 is the highest")
+    refused(
+        lambda: built([speed(u[0] - ref.r_dot)], references=ref), "'speed' needs the derivative of 'r_dot'", "order=2"
+    )
+    message = refused(
+        lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "2 is the highest"
+    )
     assert "order=3" not in message
     law = sg.ControlsInvolved("law", tau[0] - ref.r_dot)
     refused(lambda: built([law], references=ref), "'law' needs the derivative of 'r_dot'")
@@ -476,7 +481,9 @@ def test_a_constraint_on_configuration_alone_does_not_reach() -> None:
 
 def test_duplicate_rows_are_named() -> None:
     pair = [speed(name="one"), speed(2 * u[0] - q[0], name="two")]
-    with pytest.warns(UserWarning, match=r"rows of S can never be independent \(constraint 'one' and constraint 'two'\)"):
+    with pytest.warns(
+        UserWarning, match=r"rows of S can never be independent \(constraint 'one' and constraint 'two'\)"
+    ):
         built(pair)
     three, v = ca.SX.sym("q", 3), ca.SX.sym("u", 3)
     mech = sg.Mechanism(q=three, u=v, tau=ca.SX.sym("tau", 3), Q=ca.DM.eye(3), P=ca.DM.zeros(3), G=ca.DM.eye(3))
@@ -487,7 +494,9 @@ def test_duplicate_rows_are_named() -> None:
 
 def test_more_rows_than_controls_are_named() -> None:
     mech = mechanism(tau=ca.SX.sym("tau"), G=[1.0, 1.0])
-    with pytest.warns(UserWarning, match=r"2 rows of constraints \('speed', 'other'\) for 1 controls can never be indep"):
+    with pytest.warns(
+        UserWarning, match=r"2 rows of constraints \('speed', 'other'\) for 1 controls can never be indep"
+    ):
         scene([speed(), speed(u[1], name="other")], mech)
 
 

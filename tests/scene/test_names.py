@@ -63,7 +63,9 @@ def test_names_of_scenes_and_prefixes(name: str) -> None:
         sg.build_solver(1, 1, prefix=name)
 
 
-@pytest.mark.parametrize("name", ["m_B", "E_0", "_x", "R", "mass2", "S", "z", "model", "params", "info", "t0", "c0", "none"])
+@pytest.mark.parametrize(
+    "name", ["m_B", "E_0", "_x", "R", "mass2", "S", "z", "model", "params", "info", "t0", "c0", "none"]
+)
 def test_names_that_are_fine(name: str) -> None:
     sg.Parameters(**{name: 1.0})
     sg.References(**{name: 1.0})
@@ -105,7 +107,7 @@ EVIL = [
     "right to left \u202e and back",
     "line separator \u2028 here",
     "kg m² Ω µ",
-    '" \' %s {{ x }} {% endif %}',
+    "\" ' %s {{ x }} {% endif %}",
 ]
 
 

@@ -1,8 +1,7 @@
-"""Integration methods, margins and moving references of the closed loop."""
+"""Integration methods and margins of the closed loop."""
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
@@ -58,13 +57,3 @@ def test_errors() -> None:
     ):
         with pytest.raises(sg.SceneError, match=words):
             sg.Simulation(**wrong)  # type: ignore[arg-type]
-    scene, simulation = load_simulation("planar_arm_3r")
-    with pytest.raises(sg.SceneError, match="motion"):
-        ClosedLoop(scene, replace(simulation, motion={"r": ca.SX(1.0)}))
-
-
-def test_a_moving_reference_is_where_it_ought_to_be() -> None:
-    found = ClosedLoop(*load_simulation("planar_arm_3r")).run(duration=1.0, step=1e-3)
-    t = found.t
-    assert np.allclose(found.inputs["r"], np.stack([0.5 + 0.15 * np.cos(np.pi * t), 0.4 + 0.15 * np.sin(np.pi * t)], 1))
-    assert np.allclose(found.constraint, found.ideal, atol=1e-6)

@@ -23,5 +23,5 @@ def compiler(name: str) -> str:
 def run(argv: Sequence[str | Path]) -> str:
     """Standard output of a command that must succeed; its complaints are the failure's text."""
     done = subprocess.run([str(a) for a in argv], capture_output=True, text=True, stdin=subprocess.DEVNULL)
-    assert done.returncode == 0, f"{' '.join(str(a) for a in argv)}\n{done.stdout}{done.stderr}"
+    assert done.returncode == 0, f"{argv[0]} refused:\n{done.stdout}{done.stderr}"
     return done.stdout

@@ -60,7 +60,7 @@ def same_to_50_digits(a: Program, b: Program, states: dict[str, Any]) -> None:
 
 
 def examples(count: int) -> Any:
-    """Settings of a hypothesis test: the same examples each run; SERVOGEN_EXAMPLES=20 tries 20 times as many, afresh."""
+    """Settings of a hypothesis test: the same each run; SERVOGEN_EXAMPLES=20 tries 20 times as many, afresh."""
     more = os.environ.get("SERVOGEN_EXAMPLES")
     health = [HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large]
     return settings(

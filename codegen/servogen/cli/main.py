@@ -4,6 +4,7 @@ import sys
 
 import click
 
+from servogen.cli.bench import bench_command
 from servogen.cli.check import check_command
 from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
@@ -26,7 +27,16 @@ def cli() -> None:
     """
 
 
-for command in (list_scenes, generate, solver, check_command, stress_command, simulate_command, report_command):
+for command in (
+    list_scenes,
+    generate,
+    solver,
+    check_command,
+    simulate_command,
+    bench_command,
+    stress_command,
+    report_command,
+):
     cli.add_command(command)
 
 

@@ -31,7 +31,8 @@ def rate(scene: Scene, expression: Any, what: str, u_dot: Any = None) -> Any:
             if reference.order == 2:
                 remedy = f"2 is the highest; make {last.name!r} the derivative of a reference of its own"
             raise SceneError(
-                f"{what} needs the derivative of {last.name!r}, a higher order than reference {name!r} declares; {remedy}"
+                f"{what} needs the derivative of {last.name!r}, a higher order than reference {name!r} declares; "
+                f"{remedy}"
             )
     along = ca.vertcat(*(symbol for symbol, _ in moving))
     seed = ca.vertcat(*(derivative for _, derivative in moving))

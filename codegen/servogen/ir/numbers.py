@@ -17,11 +17,11 @@ def nearest(value: Fraction | float, scalar: str) -> float:
         return float("inf") if exact > 0 else float("-inf")
     if scalar == "float64":
         return wide
-    with np.errstate(over="ignore", under="ignore"):
-        guess = np.float32(np.clip(wide, -_LARGEST, _LARGEST))
+    guess = np.float32(np.clip(wide, -_LARGEST, _LARGEST))
     if abs(exact) >= Fraction(_LARGEST) + Fraction(2) ** 103:  # half a unit above: the tie goes up
         return float("inf") if exact > 0 else float("-inf")
-    candidates = [guess, np.nextafter(guess, np.float32(-np.inf)), np.nextafter(guess, np.float32(np.inf))]
+    with np.errstate(all="ignore"):
+        candidates = [guess, np.nextafter(guess, np.float32(-np.inf)), np.nextafter(guess, np.float32(np.inf))]
     finite = [c for c in candidates if np.isfinite(c)]
     return float(min(finite, key=lambda c: (abs(Fraction(float(c)) - exact), int(c.view(np.uint32)) & 1)))
 

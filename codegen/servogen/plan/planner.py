@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.ideal import REACTION
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
-from servogen.ir.program import Program
+from servogen.ir.infix import infix
+from servogen.ir.program import Input, Program
 from servogen.plan.known import plan_known
 from servogen.plan.module import (
     ControlPlan,
@@ -42,7 +43,7 @@ def plan(formulation: Formulation, program: Program, target: Target) -> Module:
         entry_points.append(EntryPoint(f"{matrix}_{right}", cutter.kernel(matrix, right)))
     solver = plan_solver(*scene.system_shape, target.scalar, scene.solver)
     control = _plan_control(formulation, staged, cutter, solver)
-    always = {"tau"} if scene.kind == "controls" else {"y"} if control.y == "input" else set()
+    always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if control.y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
     return Module(
         scene=scene.name,
@@ -183,8 +184,13 @@ def _model(scene: Scene, staged: Staged) -> tuple[StructField, ...]:
     for i in staged.tick.inputs:
         if i.kind == "model":
             parameter = known.get(i.name)
-            fields.append(_struct_field(parameter) if parameter else StructField(i.name, i.size))
+            fields.append(_struct_field(parameter) if parameter else _computed_field(i, staged.prepare))
     return tuple(fields)
+
+
+def _computed_field(i: Input, prepare: Program) -> StructField:
+    """A field that prepare computes, its formula as the text."""
+    return StructField(i.name, i.size, text=infix(prepare, prepare.output(i.name).nodes[0]))
 
 
 def _mass_tolerance(scene: Scene, scalar: Scalar) -> float:

@@ -3,11 +3,12 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from servogen.errors import SceneError
 from servogen.plan.known import known_operations
 from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
@@ -29,6 +30,7 @@ class SourceFile:
     text: str
 
 
+@cache
 def environment() -> Environment:
     """Templates of servogen; a name that is not defined is an error."""
     templates = Environment(
@@ -48,6 +50,7 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
 
     casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
     """
+    _check_defaults(module)
     prefix = module.target.prefix
     templates = environment()
     context = _context(module)
@@ -67,32 +70,28 @@ def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
     kernels = module.kernels
     lit = partial(literal, scalar=scalar)
-    plant = {
-        "lit": lit,
-        "bits": BITS[scalar],
-        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES],
+    if module.solver is not None:
+        numbers = solver_context(module.solver, module.target.prefix, lit)
+    else:
+        statuses = [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]
+        numbers = {"lit": lit, "bits": BITS[scalar], "statuses": statuses}
+    named = module.context() | numbers
+    return named | {
+        "version": VERSION,
+        "title": _title(module),
+        "math": module.needs_libm,
+        "cost": lambda program: cost_of(program.operations()),
+        "prepare_cost": cost_of(module.prepare.program.operations()),
+        "solver_cost": _solver_cost(module),
+        "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
+        "statements": partial(statements, scalar=scalar),
+        "reads": reads,
+        "initialiser": partial(_initialiser, scalar=scalar),
+        "emit": _emitted(module),
+        "info_type": f"{module.target.prefix}_info",
+        "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
+        "scene_y": _scene_y(module),
     }
-    numbers = plant if module.solver is None else solver_context(module.solver, module.target.prefix, lit)
-    return (
-        module.context()
-        | numbers
-        | {
-            "version": VERSION,
-            "title": _title(module),
-            "math": module.needs_libm,
-            "cost": lambda program: cost_of(program.operations()),
-            "prepare_cost": cost_of(module.prepare.program.operations()),
-            "solver_cost": _solver_cost(module),
-            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
-            "statements": partial(statements, scalar=scalar),
-            "reads": reads,
-            "initialiser": partial(_initialiser, scalar=scalar),
-            "emit": _emitted(module),
-            "info_type": f"{module.target.prefix}_info",
-            "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
-            "scene_y": _scene_y(module),
-        }
-    )
 
 
 def _shim(module: Module) -> dict[str, Any]:
@@ -123,6 +122,15 @@ def _title(module: Module) -> str:
     if module.solver is None:
         return f"functions of scene {module.scene}: {', '.join(e.name for e in module.entry_points)}"
     return f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}"
+
+
+def _check_defaults(module: Module) -> None:
+    """SceneError naming the parameter whose default does not fit the type."""
+    for f in module.parameters:
+        try:
+            _initialiser(f.default, module.target.scalar)
+        except SceneError as error:
+            raise SceneError(f"parameter {f.name!r}: {error}") from None
 
 
 def _initialiser(values: tuple[float, ...], scalar: str) -> str:

@@ -86,7 +86,7 @@ def _place(file: Path, error: BaseException) -> str:
     """file:line of the user's own statement that failed."""
     if isinstance(error, SyntaxError):
         return f"{file}:{error.lineno}"
-    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file.absolute()]
     return f"{file}:{lines[-1]}" if lines else str(file)
 
 

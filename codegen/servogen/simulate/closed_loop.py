@@ -17,7 +17,15 @@ from servogen.results import FloatArray, Status
 from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.ideal import ideal_decay
-from servogen.simulate.simulation import METHODS, Simulation, check_simulation, known_symbols, sized, start_values
+from servogen.simulate.simulation import (
+    METHODS,
+    Simulation,
+    check_simulation,
+    known_symbols,
+    moving_references,
+    sized,
+    start_values,
+)
 from servogen.simulate.sources import LoopSources, write_loop
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import compile_library
@@ -33,6 +41,7 @@ _REASONS: dict[int, Reason] = {
     3: "controller",
     4: "plant",
     5: "stop expression",
+    6: "reference",
 }
 
 Progress = Callable[[int, int], None]
@@ -105,7 +114,8 @@ class ClosedLoop:
         """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
-        shortened so that it divides the duration. references: y and references by name, constant over the run.
+        shortened so that it divides the duration. references: y and references by name, constant over the run unless
+        the simulation moves them.
         hold: the controller has one tick a step (`control`, or `step(dt)`) and tau is held in between, as in firmware;
         otherwise it is called in every stage. project: controls-involved scenes first take the nearest tau with
         phi = 0. progress: called with (steps done, steps) from time to time.
@@ -166,9 +176,7 @@ class ClosedLoop:
             )
         ]
         reals = _structs(self.scalar)
-        setup = reals.Setup(
-            *(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project
-        )
+        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project)
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
@@ -213,8 +221,7 @@ class ClosedLoop:
         columns = {"t": t, "q": q, "u": u, "tau": tau} | {
             n: np.tile(v, (len(t), 1)) for n, v in {**parameters, **given}.items()
         }
-        columns |= self._moving(columns)
-        given |= {n: columns[n] for n in self.simulation.motion}
+        columns |= self._moving(t[:, 0].astype(float))
         outputs = self._evaluate(self.simulation.outputs, columns)
         first = {n: v[0] for n, v in columns.items()} if len(t) else {}
         return Trajectory(
@@ -228,7 +235,7 @@ class ClosedLoop:
             u=u,
             tau=tau,
             constraint=constraint,
-            ideal=ideal_decay(self.scene, first, t[:, 0].astype(float)) if first else constraint,
+            ideal=ideal_decay(self.scene, first, step, len(t)) if first else constraint,
             status=marks[:, 0],
             rank=marks[:, 1],
             sigma_min=sigma_min[:, 0],
@@ -239,14 +246,12 @@ class ClosedLoop:
             inputs=given,
         )
 
-    def _moving(self, columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    def _moving(self, t: FloatArray) -> dict[str, FloatArray]:
         """The references that move, along the rows."""
-        entries = {(n, k): e[k] for n, e in self.simulation.motion.items() for k in range(e.numel())}
-        values = self._evaluate({f"{n} {k}": e for (n, k), e in entries.items()}, columns)
-        return {
-            n: np.stack([values[f"{n} {k}"] for k in range(e.numel())], axis=1)
-            for n, e in self.simulation.motion.items()
-        }
+        now = ca.SX.sym("t")
+        moving = moving_references(self.scene, self.simulation, now)
+        functions = {name: ca.Function(name, [now], [ca.densify(sx)]) for name, sx in moving.items()}
+        return {n: np.array(f.map(len(t))(t.reshape(1, -1))).T for n, f in functions.items() if len(t)}
 
     def _evaluate(self, expressions: Mapping[str, Any], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Expressions along the rows, by CasADi's virtual machine: another hand than the generated C."""
@@ -255,8 +260,8 @@ class ClosedLoop:
             return {name: np.zeros(count) for name in expressions}
         symbols = known_symbols(self.scene)
         function = ca.Function("outputs", [s for _, s in symbols], list(expressions.values()))
-        values: Any = function.map(count)(*(ca.DM(columns[n].astype(float).T) for n, _ in symbols))
-        values = values if isinstance(values, tuple) else (values,)
+        given = [ca.DM(columns[n].astype(float).T) for n, _ in symbols]
+        values = function.map(count).call(given)
         return {n: np.array(v, dtype=float).ravel() for n, v in zip(expressions, values, strict=True)}
 
     def _decay(self, outputs: dict[str, FloatArray], columns: dict[str, FloatArray]) -> dict[str, FloatArray]:

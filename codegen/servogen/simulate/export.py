@@ -1,10 +1,8 @@
 """A trajectory as text: one CSV file."""
 
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from servogen.results import FloatArray
 from servogen.simulate.trajectory import Trajectory
 
 
@@ -13,7 +11,7 @@ def write_csv(trajectory: Trajectory, file: Path) -> Path:
 
     Numbers read back as the same ones.
     """
-    columns: list[tuple[str, FloatArray]] = [("t", trajectory.t)]
+    columns: list[tuple[str, Any]] = [("t", trajectory.t)]
     for name, values in (
         ("q", trajectory.q),
         ("u", trajectory.u),
@@ -24,11 +22,7 @@ def write_csv(trajectory: Trajectory, file: Path) -> Path:
     columns += [("status", trajectory.status), ("rank", trajectory.rank), ("sigma_min", trajectory.sigma_min)]
     columns += list(trajectory.outputs.items())
     header = ",".join(f'"{name}"' if "," in name else name for name, _ in columns)
-    lines = (",".join(_text(x) for x in row) for row in zip(*(c for _, c in columns), strict=True))
+    texts = [[str(number) for number in column] for _, column in columns]  # the shortest that reads back
+    lines = (",".join(row) for row in zip(*texts, strict=True))
     file.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8", newline="\n")
     return file
-
-
-def _text(number: np.generic) -> str:
-    return str(number.item()) if isinstance(number, np.integer) else np.format_float_positional(number, trim="-") \
-        if 1e-5 <= abs(number) < 1e16 or number == 0 else np.format_float_scientific(number, trim="-")

@@ -13,15 +13,15 @@ from servogen.scene.scene import Scene
 from servogen.simulate.simulation import known_symbols
 
 
-def ideal_decay(scene: Scene, start: dict[str, FloatArray], t: FloatArray) -> FloatArray:
-    """psi (phi) at t (N,), evenly spaced from 0, that starts as the scene does and obeys Theta: (N, m).
+def ideal_decay(scene: Scene, start: dict[str, FloatArray], step: float, count: int) -> FloatArray:
+    """psi (phi) at 0, step, 2 step, ... that starts as the scene does and obeys Theta: (count, m).
 
-    start: every parameter and input at t = 0, by name. Holonomic: psi'' = Theta1 psi' + Theta2 psi; else psi' = Theta psi.
+    start: every parameter and input at t = 0, by name. psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi.
     """
-    return np.hstack([_one(scene, c, start, t) for c in scene.constraints])
+    return np.hstack([_one(scene, c, start, step, count) for c in scene.constraints])
 
 
-def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], t: FloatArray) -> FloatArray:
+def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], step: float, count: int) -> FloatArray:
     state = expression_of(constraint)
     if isinstance(constraint, Holonomic):
         matrix = companion(constraint.Theta1, constraint.Theta2)
@@ -29,9 +29,9 @@ def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], t: 
     else:
         matrix = constraint.Theta
     now = _value(scene, state, start).ravel()
-    forward = expm(_value(scene, matrix, start) * (t[1] - t[0] if len(t) > 1 else 0.0))
-    states = np.empty((len(t), len(now)))
-    for k in range(len(t)):
+    forward = expm(_value(scene, matrix, start) * step)
+    states = np.empty((count, len(now)))
+    for k in range(count):
         states[k] = now
         now = forward @ now
     return states[:, : constraint.size]

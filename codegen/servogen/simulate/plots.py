@@ -17,7 +17,8 @@ from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
 
 _GREEK = frozenset(
-    """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega""".split()
+    """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi
+    omega""".split()
 )
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")  # told apart by all eyes
 _IDEAL = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.2}
@@ -82,11 +83,7 @@ def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[P
 
 
 def _title(trajectory: Trajectory) -> str:
-    way = (
-        f"tau held for {trajectory.step:g} s"
-        if trajectory.hold
-        else f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
-    )
+    way = f"tau held for {trajectory.step:g} s" if trajectory.hold else f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
     return f"{trajectory.scene}: generated C in closed loop, {way}"
 
 
@@ -110,17 +107,15 @@ def _curves(
     """All curves in one panel; one panel each where they chatter and would cover one another."""
     if not _chatters(values):
         return [partial(_together, trajectory.t, values, names, _axis(what, unit))]
-    ones = range(values.shape[1])
-    return [
-        partial(_together, trajectory.t, values[:, k : k + 1], names[k : k + 1], _axis(names[k], unit)) for k in ones
-    ]
+    columns = np.split(values, values.shape[1], axis=1)
+    one = [[name] for name in names]
+    return [partial(_together, trajectory.t, v, n, _axis(n[0], unit)) for v, n in zip(columns, one, strict=True)]
 
 
 def _together(t: FloatArray, values: FloatArray, names: Sequence[str], label: str, axis: Any) -> None:
+    width = 1.5 if len(names) > 1 else 0.9
     for k, name in enumerate(names):
-        axis.plot(
-            t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=1.5 if len(names) > 1 else 0.9
-        )
+        axis.plot(t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=width)
     axis.set_ylabel(label)
     _legend(axis, len(names))
 
@@ -193,9 +188,8 @@ def _spans_decades(values: FloatArray) -> bool:
 
 def _legend(axis: Any, count: int) -> None:
     if count > 1:
-        axis.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(count, 4), borderaxespad=0.1, handlelength=1.6
-        )
+        above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+        axis.legend(ncols=min(count, 4), handlelength=1.6, **above)
 
 
 def _axis(name: str, unit: str | None) -> str:

@@ -15,7 +15,7 @@ from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.simulation import METHODS, Simulation, start_values
+from servogen.simulate.simulation import METHODS, Simulation, moving_references, start_values
 from servogen.simulate.trajectory import Trajectory
 from servogen.twins.reference import reference
 
@@ -46,14 +46,15 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
     others = [f.symbol for f in fields]
     arguments = [mech.q, mech.u, t, *others, *parameters]
     plant = ca.Function("plant", arguments, [mech.q_dot, mech.Q, mech.P, mech.G])
-    course = ca.Function("course", [t, *parameters], list(simulation.motion.values()))
+    moving = moving_references(scene, simulation, t)
+    course = ca.Function("course", [t], list(moving.values()))
     nq, nu = mech.q.size1(), mech.u.size1()
     controls = scene.kind == "controls"
 
     def rate(now: float, x: FloatArray) -> FloatArray:
         q, u = x[:nq], x[nq : nq + nu]
-        moved = course.call([ca.DM(now), *defaults])
-        held = given | {n: np.array(v).ravel() for n, v in zip(simulation.motion, moved, strict=True)}
+        moved = course.call([ca.DM(now)])
+        held = given | {n: np.array(v).ravel() for n, v in zip(moving, moved, strict=True)}
         inputs = {"q": q, "u": u, "t": now, **held} | ({"tau": x[nq + nu :]} if controls else {})
         answer = twin.control(**inputs).value
         tau = x[nq + nu :] if controls else answer

@@ -1,6 +1,6 @@
 """Where a simulated run of a scene starts, how long it lasts, what is drawn and what stops it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray
-from servogen.scene.convert import to_sx
+from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
+from servogen.scene.symbols import chains
 
 METHODS = ("rk4", "dop8")
 """The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
@@ -28,8 +29,8 @@ class Simulation:
     decay: name of an output -> (rate, limit): it ought to follow limit + (value(0) - limit) exp(rate t); numbers or SX
         of parameters and references.
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
-    motion: name of a reference -> SX of t and the parameters: it moves along it instead of standing still. Give its
-        rates (`r_dot`) as well where they are references.
+    references: name -> function of time, lambda t: SX, for references (and y) that move; their rates r_dot and r_ddot,
+        where the scene declares them, are its derivatives. What is not here is constant, see start.
     sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
         or a control's magnitude exceeds the other.
     method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
@@ -42,8 +43,8 @@ class Simulation:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
+    references: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    motion: Mapping[str, Any] = field(default_factory=dict)
     sigma_min: float | None = None
     tau_max: float | None = None
     method: str = "rk4"
@@ -52,7 +53,6 @@ class Simulation:
         for what in ("outputs", "stop"):
             checked = {n: _scalar(e, f"simulation: {what}[{n!r}]") for n, e in getattr(self, what).items()}
             object.__setattr__(self, what, checked)
-        object.__setattr__(self, "motion", {n: to_sx(e, f"simulation: motion[{n!r}]") for n, e in self.motion.items()})
         for name in ("sigma_min", "tau_max"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
@@ -64,6 +64,7 @@ class Simulation:
                 raise SceneError(f"simulation: decay[{name!r}] belongs to no output; add it to outputs")
         decay = {n: tuple(_scalar(e, f"simulation: decay[{n!r}]") for e in pair) for n, pair in self.decay.items()}
         object.__setattr__(self, "decay", decay)
+
 
     @property
     def events(self) -> tuple[str, ...]:
@@ -78,14 +79,6 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     known = {s.__hash__() for _, symbol in known_symbols(scene) for s in symbol.nonzeros()}
     named = [(f"outputs[{n!r}]", e) for n, e in simulation.outputs.items()]
     named += [(f"stop[{n!r}]", e) for n, e in simulation.stop.items()]
-    named += [(f"motion[{n!r}]", e) for n, e in simulation.motion.items()]
-    sizes = {f.name: f.size for f in scene.references or ()}
-    for name, expression in simulation.motion.items():
-        if sizes.get(name) != expression.numel():
-            raise SceneError(
-                f"simulation: motion[{name!r}] has {expression.numel()} entries; give one of the references "
-                f"{', '.join(f'{n} ({s})' for n, s in sizes.items())}"
-            )
     named += [(f"decay[{n!r}]", e) for n, pair in simulation.decay.items() for e in pair]
     for what, expression in named:
         for symbol in ca.symvar(expression):
@@ -94,11 +87,12 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
                     f"simulation: {what} holds the symbol {symbol.name()!r}, which is not an input of scene "
                     f"{scene.name!r}; use its q, u, tau, t, parameters and references"
                 )
+    moving_references(scene, simulation, ca.SX.sym("t"))
     names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
             raise SceneError(
-                f"simulation: units[{name!r}] belongs to nothing that is drawn; there are {', '.join(names)}"
+                f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
             )
 
 
@@ -107,6 +101,24 @@ def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
     return fields if scene.kind == "controls" else [*fields, ("tau", scene.mechanism.tau)]
+
+
+def moving_references(scene: Scene, simulation: Simulation, t: Any) -> dict[str, Any]:
+    """name -> SX of t for every reference that moves, its declared rates included, and for y."""
+    assert scene.references is not None
+    chain = {c.chain[0].name: c.chain for c in chains(scene.references)}
+    moving: dict[str, Any] = {}
+    for name, function in simulation.references.items():
+        if name not in chain and not (name == "y" and scene.y == "input"):
+            raise SceneError(
+                f"simulation: references[{name!r}] is no reference; there are {', '.join(chain) or 'none'}"
+            )
+        fields = [(f.name, f.size) for f in chain[name]] if name in chain else [("y", scene.controls)]
+        value = column(function(t), f"simulation: references[{name!r}]", fields[0][1])
+        for field_name, _ in fields:
+            moving[field_name] = value
+            value = ca.jacobian(value, t)
+    return moving
 
 
 def start_values(scene: Scene, simulation: Simulation, given: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:

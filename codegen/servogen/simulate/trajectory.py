@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from servogen.results import FloatArray, Status
 
-Reason = Literal["finished", "event", "controller", "plant", "stop expression"]
+Reason = Literal["finished", "event", "controller", "plant", "stop expression", "reference"]
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Stop:
     """Why and when a run ended.
 
     reason: "finished" (whole duration), "event" (a stop expression, named by `event`), or whose negative status ended
-    it: "controller", "plant", "stop expression". t: of the last row, seconds.
+    it: "controller", "plant", "stop expression", "reference". t: of the last row, seconds.
     """
 
     reason: Reason
@@ -44,8 +44,8 @@ class Trajectory:
     q (N, n_q), u (N, n_u), tau (N, l) as applied at t, constraint (N, m): psi, or phi of a controls-involved scene;
     ideal (N, m): the same as prescribed by Theta from the start on.
     status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
-    output ought to be. parameters and inputs (y and references; (N, size) where one moves): as used. method:
-    of the integration; seconds: that it took on this machine. step: between rows, seconds.
+    output ought to be. parameters and inputs (y and references at t = 0): as used. step: between rows, seconds.
+    method: of the integration; seconds: that it took on this machine.
     """
 
     scene: str

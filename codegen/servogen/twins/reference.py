@@ -18,6 +18,7 @@ from servogen.twins import textbook_solver
 from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, finite, refusal
 
 _PROJECTION_CAP = 50
+_WITHOUT_MASS = {"psi", "phi", "A"}
 
 
 def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
@@ -53,16 +54,23 @@ class ReferenceTwin(Twin):
         with np.errstate(over="ignore"):
             return np.asarray(value).astype(self.dtype).astype(float)
 
-    def system(self, inputs: dict[str, FloatArray]) -> tuple[Status, dict[str, FloatArray]]:
-        """(status, {"psi", "S", "z", "y"} or {"phi", "A", "B", "y"}); empty where the status is negative."""
+    def system(self, inputs: dict[str, FloatArray], *names: str) -> tuple[Status, dict[str, FloatArray]]:
+        """(status, {"psi", "S", "z", "y"} or {"phi", "A", "B", "y"}); empty where the status is negative.
+
+        names: these quantities alone, with the status that they have (psi, phi and A need no Q).
+        """
         rounded = {n: self._round(v) for n, v in inputs.items()}
         if not finite(v for n, v in rounded.items() if n in self._names["used"]):
             return Status.NONFINITE, {}
         given = self.parts(inputs)
-        if _singular(given["Q"], EPSILON[self.scalar]):
+        if names and set(names) <= _WITHOUT_MASS:
+            result = {n: given["A" if n == "A" else "psi"] for n in names}
+        elif _singular(given["Q"], EPSILON[self.scalar]):
             return Status.SINGULAR_MASS, {}
-        with np.errstate(all="ignore"):
-            result = self._textbook(given, rounded)
+        else:
+            with np.errstate(all="ignore"):
+                result = self._textbook(given, rounded)
+        result = {n: result[n] for n in names or result}
         if not finite(self._round(v) for v in result.values()):
             return Status.OVERFLOW, {}
         return Status.OK, result
@@ -77,7 +85,7 @@ class ReferenceTwin(Twin):
         raise NotImplementedError
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
-        status, result = self.system(inputs)
+        status, result = self.system(inputs, name)
         n = self.scene.mechanism.u.size1()
         shapes = dict.fromkeys("SA", self.scene.system_shape) | {"T": (n, n), "F": (n,), "R": (n,)}
         shape = shapes.get(name, (self.scene.rows,))
@@ -88,10 +96,11 @@ class ReferenceTwin(Twin):
         return inverse.astype(self.dtype), info
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        status, result = self.system(inputs)
+        matrix, right = {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
+        weight = () if self.scene.weight is None else ("weight",)
+        status, result = self.system(inputs, matrix, right, "y", *weight)
         if status < 0:
             return Control(last, refusal(status))
-        matrix, right = {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
         S = result[matrix].reshape(self.scene.system_shape)
         y = result["y"].ravel()
         if "weight" not in result:
@@ -203,7 +212,11 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         rate = super()._control("control", inputs, last)
         if rate.info.status < 0:
             return Control(last, rate.info)
-        projected = self._project(inputs | {"tau": inputs["tau"] + dt * rate.value}, last)
+        with np.errstate(over="ignore"):
+            moved = inputs["tau"] + dt * rate.value
+        if not finite([self._round(moved)]):
+            return Control(last, refusal(Status.OVERFLOW))
+        projected = self._project(inputs | {"tau": moved}, last)
         if 0 <= projected.info.status < rate.info.status:
             return Control(projected.value, _with_status(projected.info, rate.info.status))
         return projected
@@ -212,12 +225,12 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         """Newton's method on the nearest point: tau <- start + A+ (A (tau - start) - phi)."""
         start = now = inputs["tau"]
         for _ in range(_PROJECTION_CAP):
-            status, result = self.system(inputs | {"tau": now})
+            status, result = self.system(inputs | {"tau": now}, "phi", "A")
             if status < 0:
                 return Control(last, refusal(status))
             A = result["A"].reshape(self.scene.rows, self.scene.controls)
             zeros = np.zeros(self.scene.controls)
-            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"], zeros, self._plan)
+            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"].ravel(), zeros, self._plan)
             if info.status < 0:
                 return Control(last, info)
             now, before = start + np.asarray(move, dtype=float), now
@@ -240,7 +253,8 @@ def _singular(Q: FloatArray, epsilon: float) -> bool:
     if not np.all(np.isfinite(Q)) or np.any(rows == 0):
         return not np.any(~np.isfinite(Q))
     scaled = Q / rows
-    scaled = scaled / np.max(np.abs(scaled), axis=0, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a column of zeros
+        scaled = scaled / np.max(np.abs(scaled), axis=0, keepdims=True)
     if not np.all(np.isfinite(scaled)):
         return True
     sigma = np.linalg.svd(scaled, compute_uv=False)

@@ -109,10 +109,11 @@ class Truth:
         if not self.finite[k]:
             return Status.NONFINITE
         if MASS_PIVOT in at:
-            if not np.all(np.isfinite(at[MASS_PIVOT])):
-                return Status.OVERFLOW
-            if not np.all(at[MASS_PIVOT] > self.dtype(self.module.mass_tolerance) * at[MASS_SCALE]):
-                return Status.SINGULAR_MASS
+            for pivot, scale in zip(at[MASS_PIVOT], at[MASS_SCALE], strict=True):
+                if not np.isfinite(pivot):
+                    return Status.OVERFLOW
+                if not pivot > self.dtype(self.module.mass_tolerance) * scale:
+                    return Status.SINGULAR_MASS
         return Status.OK
 
     def _evaluated(self, k: int, names: tuple[str, ...], needs_mass: bool) -> Status:

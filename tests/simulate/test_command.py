@@ -1,0 +1,136 @@
+"""What a run leaves on disk, and the command."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servogen.cli import main
+from servogen.errors import SceneError
+from servogen.scene.loading import builtin_names, load_simulation
+from servogen.simulate.export import write_csv
+from servogen.simulate.plots import write_plots
+from servogen.simulate.simulation import check_simulation
+
+SCENE = """
+import casadi as ca
+import servogen as sg
+q, u, tau = (ca.SX.sym(n) for n in ("q", "u", "tau"))
+scene = sg.Scene("falls", sg.Mechanism(q=q, u=u, tau=tau, Q=1, P={P}, G={G}), [sg.Nonholonomic("n", u - 1, Theta=-1.0)])
+simulation = {simulation}
+"""
+
+
+def scene_file(folder: Path, simulation: str, P: str = "0", G: str = "1") -> Path:
+    file = folder / "falls.py"
+    file.write_text(SCENE.format(simulation=simulation, P=P, G=G))
+    return file
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["servogen", "simulate", *map(str, arguments)])
+    with pytest.raises(SystemExit) as end:
+        main.main()
+    return int(end.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def some_run(rail_loop):
+    return rail_loop.run(duration=0.2, step=0.01)
+
+
+def test_csv_reads_back_as_the_same_numbers(rail_loop, some_run, tmp_path):
+    file = write_csv(some_run, tmp_path / "run.csv")
+    with file.open() as text:
+        rows = list(csv.DictReader(text))
+    assert len(rows) == 21
+    for name, values in (
+        ("t", some_run.t),
+        ("q_0", some_run.q[:, 0]),
+        ("tau_0", some_run.tau[:, 0]),
+        ("psi_0", some_run.psi[:, 0]),
+        ("power, mechanical", some_run.outputs["power, mechanical"]),
+        ("status", some_run.status),
+    ):
+        assert np.array_equal([float(row[name]) for row in rows], values)
+
+
+def test_figures_are_the_same_bytes_every_time(rail_loop, some_run, tmp_path):
+    bytes_of = []
+    for k in "ab":
+        (tmp_path / k).mkdir()
+        files = write_plots(rail_loop.scene, rail_loop.simulation, some_run, tmp_path / k)
+        bytes_of.append({f.name: f.read_bytes() for f in files})
+    assert sorted(bytes_of[0]) == [f"{n}.{e}" for n in ("controls", "outputs", "psi", "states") for e in ("png", "svg")]
+    assert bytes_of[0] == bytes_of[1]
+    assert b"<dc:date>" not in bytes_of[0]["states.svg"]
+    assert len(bytes_of[0]["states.png"]) > 10_000
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_built_in_scenes_have_a_simulation_that_fits(name):
+    check_simulation(*load_simulation(name))
+
+
+def test_a_run_that_finishes_is_good(monkeypatch, tmp_path, capsys):
+    file = scene_file(tmp_path, 'sg.Simulation(start={"q": 0, "u": 3}, duration=0.5, outputs={"K": u**2 / 2})')
+    assert command(monkeypatch, file, "--json", "--out", tmp_path / "out", "--start", "u=2", "--step", "0.01") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["stop"]["reason"] == "finished"
+    assert told["rows"] == 51
+    assert told["start"]["u"] == [2.0]
+    assert told["end"]["u"][0] == pytest.approx(1 + np.exp(-0.5), rel=1e-9)
+    assert told["constraint_error"] < 1e-9
+    assert sorted(f.name for f in (tmp_path / "out").iterdir()) == sorted(Path(f).name for f in told["files"])
+    assert len(told["files"]) == 9  # the CSV, and four figures twice
+
+
+def test_tables_are_for_people(monkeypatch, tmp_path, capsys):
+    file = scene_file(tmp_path, 'sg.Simulation(duration=0.1, stop={"late": 0.05 - q})')
+    folder = tmp_path / "out"
+    assert command(monkeypatch, file, "--no-plots", "--out", folder, "--start", "q=0", "--start", "u=1") == 0
+    printed = capsys.readouterr().out
+    assert "stopped by 'late' at t = 0.05" in " ".join(printed.split())
+    assert [f.name for f in folder.iterdir()] == ["falls.csv"]
+
+
+def test_a_negative_status_is_a_failure(monkeypatch, tmp_path, capsys):
+    file = scene_file(tmp_path, 'sg.Simulation(start={"q": 1, "u": 1})', P="0 * u", G="1 / (q - 1)")
+    assert command(monkeypatch, file, "--json", "--no-plots", "--out", tmp_path / "out") == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["stop"]["status"] == "OVERFLOW"
+    assert told["rows"] == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("nothing",),
+        ("spacecraft", "--start", "u=1,2"),
+        ("spacecraft", "--start", "u"),
+        ("spacecraft", "--parameter", "I_1=x"),
+        ("spacecraft", "--scalar", "float16"),
+        ("spacecraft", "--step", "-1"),
+    ],
+)
+def test_wrong_input_is_exit_code_two(monkeypatch, tmp_path, arguments):
+    assert command(monkeypatch, *arguments, "--out", tmp_path) == 2
+
+
+def test_simulation_of_another_type_is_named(tmp_path):
+    with pytest.raises(SceneError, match="make it an sg"):
+        load_simulation(str(scene_file(tmp_path, "3")))
+
+
+def test_each_scene_of_a_file_has_its_own(tmp_path):
+    file = tmp_path / "two.py"
+    file.write_text(
+        "from servogen.scenes.spacecraft import stabilisation\nimport servogen as sg\n"
+        "scene, other, third = (stabilisation(n, True) for n in 'abc')\n"
+        "simulation = sg.Simulation(duration=1.0)\nother_simulation = sg.Simulation(duration=2.0)\n"
+    )
+    assert load_simulation(f"{file}")[1].duration == 1.0
+    assert load_simulation(f"{file}:other")[1].duration == 2.0
+    assert load_simulation(f"{file}:third")[1].duration == 10.0

@@ -1,0 +1,63 @@
+"""What the README shows works as it stands."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+
+
+def block(language: str) -> str:
+    return re.search(rf"```{language}\n(.*?)```", README, re.DOTALL).group(1)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "crane.py").write_text(block("python"))
+    return tmp_path
+
+
+def servogen(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "servogen.cli.main", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+def test_the_scene_generates_and_the_c_compiles(folder, need_tool):
+    assert len(block("python").splitlines()) <= 30
+    done = servogen(folder, "generate", "crane.py")
+    assert done.returncode == 0, done.stderr
+    (folder / "main.c").write_text(block("c") + MAIN)
+    strict = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wshadow -Werror".split()
+    command = [need_tool("gcc", "gcc"), *strict, "-Icrane", "main.c", "crane/crane.c", "-lm", "-o", "main"]
+    subprocess.run(command, cwd=folder, check=True)
+    assert subprocess.run([folder / "main"], capture_output=True, text=True).returncode == 0
+
+
+MAIN = """
+#include <math.h>
+void start(void);
+void tick(const double q[2], const double u[2], double tau[2]);
+int main(void)
+{
+    const double q[2] = {0.1, 0.5}, u[2] = {0.2, -0.1}, bad[2] = {NAN, 0.0};
+    double tau[2] = {7.0, 7.0};
+    start();
+    tick(bad, u, tau);
+    if (tau[0] != 7.0) return 1;
+    tick(q, u, tau);
+    return !(tau[0] != 7.0 && isfinite(tau[0]) && isfinite(tau[1]));
+}
+"""
+
+
+def test_the_scene_passes_its_check(folder):
+    done = servogen(folder, "check", "crane.py", "--states", "50")
+    assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_the_commands_it_names_exist(folder):
+    for name in set(re.findall(r"^    servogen (\w+)", README, re.MULTILINE)):
+        assert servogen(folder, name, "--help").returncode == 0, name
