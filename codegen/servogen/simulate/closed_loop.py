@@ -176,7 +176,8 @@ class ClosedLoop:
             )
         ]
         reals = _structs(self.scalar)
-        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, method, hold, project)
+        substeps = HOLD_SUBSTEPS if hold else 1
+        setup = reals.Setup(*(a.ctypes.data for a in flat), step, substeps, steps, method, hold, project)
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
