@@ -643,60 +643,6 @@ static int spacecraft_smooth_f32_checked_A_B(const spacecraft_smooth_f32_model *
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
-{
-    const float t0 = model->I_1 * in->u[0];
-    const float t1 = model->c0 * in->u[1];
-    const float t2 = t1 * in->u[2];
-    const float t3 = t2 + in->tau[0];
-    const float t4 = t0 * t3;
-    const float t5 = model->I_2 * in->u[1];
-    const float t6 = in->u[2] * model->c1;
-    const float t7 = in->u[0] * t6;
-    const float t8 = t7 + in->tau[1];
-    const float t9 = t5 * t8;
-    const float t10 = t4 + t9;
-    const float t11 = model->I_3 * in->u[2];
-    const float t12 = in->u[0] * model->c2;
-    const float t13 = in->u[1] * t12;
-    const float t14 = t13 + in->tau[2];
-    const float t15 = t11 * t14;
-    const float t16 = t10 + t15;
-    const float t17 = in->u[0] * in->u[0];
-    const float t18 = model->I_1 * t17;
-    const float t19 = in->u[1] * in->u[1];
-    const float t20 = model->I_2 * t19;
-    const float t21 = t18 + t20;
-    const float t22 = in->u[2] * in->u[2];
-    const float t23 = model->I_3 * t22;
-    const float t24 = t21 + t23;
-    const float t25 = t24 * 0.5f;
-    const float t26 = model->a * t25;
-    const float t27 = t16 + t26;
-    /* phi = phi(q, u, tau, t), Eq. (36) */
-    phi[0] = t27;
-    /* A = phi_tau, Eq. (39) */
-    A[0] = t0;
-    A[1] = t5;
-    A[2] = t11;
-}
-
-/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
-static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
-{
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
-    spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_smooth_f32_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    return SPACECRAFT_SMOOTH_F32_OK;
-}
-
 static void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
 {
     const float t0 = model->I_1 * in->u[0];
@@ -777,6 +723,60 @@ static int spacecraft_smooth_f32_checked_A_B_y(const spacecraft_smooth_f32_model
         return SPACECRAFT_SMOOTH_F32_OVERFLOW;
     }
     if (!spacecraft_smooth_f32_finite(y, 3)) {
+        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+    }
+    return SPACECRAFT_SMOOTH_F32_OK;
+}
+
+static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+{
+    const float t0 = model->I_1 * in->u[0];
+    const float t1 = model->c0 * in->u[1];
+    const float t2 = t1 * in->u[2];
+    const float t3 = t2 + in->tau[0];
+    const float t4 = t0 * t3;
+    const float t5 = model->I_2 * in->u[1];
+    const float t6 = in->u[2] * model->c1;
+    const float t7 = in->u[0] * t6;
+    const float t8 = t7 + in->tau[1];
+    const float t9 = t5 * t8;
+    const float t10 = t4 + t9;
+    const float t11 = model->I_3 * in->u[2];
+    const float t12 = in->u[0] * model->c2;
+    const float t13 = in->u[1] * t12;
+    const float t14 = t13 + in->tau[2];
+    const float t15 = t11 * t14;
+    const float t16 = t10 + t15;
+    const float t17 = in->u[0] * in->u[0];
+    const float t18 = model->I_1 * t17;
+    const float t19 = in->u[1] * in->u[1];
+    const float t20 = model->I_2 * t19;
+    const float t21 = t18 + t20;
+    const float t22 = in->u[2] * in->u[2];
+    const float t23 = model->I_3 * t22;
+    const float t24 = t21 + t23;
+    const float t25 = t24 * 0.5f;
+    const float t26 = model->a * t25;
+    const float t27 = t16 + t26;
+    /* phi = phi(q, u, tau, t), Eq. (36) */
+    phi[0] = t27;
+    /* A = phi_tau, Eq. (39) */
+    A[0] = t0;
+    A[1] = t5;
+    A[2] = t11;
+}
+
+/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
+static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+{
+    if (!spacecraft_smooth_f32_input_finite(in)) {
+        return SPACECRAFT_SMOOTH_F32_NONFINITE;
+    }
+    spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
+    if (!spacecraft_smooth_f32_finite(phi, 1)) {
+        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+    }
+    if (!spacecraft_smooth_f32_finite(A, 3)) {
         return SPACECRAFT_SMOOTH_F32_OVERFLOW;
     }
     return SPACECRAFT_SMOOTH_F32_OK;

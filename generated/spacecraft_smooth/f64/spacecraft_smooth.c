@@ -643,60 +643,6 @@ static int spacecraft_smooth_checked_A_B(const spacecraft_smooth_model *model, c
     return SPACECRAFT_SMOOTH_OK;
 }
 
-static void spacecraft_smooth_eval_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
-{
-    const double t0 = model->I_1 * in->u[0];
-    const double t1 = model->c0 * in->u[1];
-    const double t2 = t1 * in->u[2];
-    const double t3 = t2 + in->tau[0];
-    const double t4 = t0 * t3;
-    const double t5 = model->I_2 * in->u[1];
-    const double t6 = in->u[2] * model->c1;
-    const double t7 = in->u[0] * t6;
-    const double t8 = t7 + in->tau[1];
-    const double t9 = t5 * t8;
-    const double t10 = t4 + t9;
-    const double t11 = model->I_3 * in->u[2];
-    const double t12 = in->u[0] * model->c2;
-    const double t13 = in->u[1] * t12;
-    const double t14 = t13 + in->tau[2];
-    const double t15 = t11 * t14;
-    const double t16 = t10 + t15;
-    const double t17 = in->u[0] * in->u[0];
-    const double t18 = model->I_1 * t17;
-    const double t19 = in->u[1] * in->u[1];
-    const double t20 = model->I_2 * t19;
-    const double t21 = t18 + t20;
-    const double t22 = in->u[2] * in->u[2];
-    const double t23 = model->I_3 * t22;
-    const double t24 = t21 + t23;
-    const double t25 = t24 * 0.5;
-    const double t26 = model->a * t25;
-    const double t27 = t16 + t26;
-    /* phi = phi(q, u, tau, t), Eq. (36) */
-    phi[0] = t27;
-    /* A = phi_tau, Eq. (39) */
-    A[0] = t0;
-    A[1] = t5;
-    A[2] = t11;
-}
-
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
-{
-    if (!spacecraft_smooth_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_NONFINITE;
-    }
-    spacecraft_smooth_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_smooth_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_OVERFLOW;
-    }
-    if (!spacecraft_smooth_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_OVERFLOW;
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
-
 static void spacecraft_smooth_eval_A_B_y(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B, double *y)
 {
     const double t0 = model->I_1 * in->u[0];
@@ -777,6 +723,60 @@ static int spacecraft_smooth_checked_A_B_y(const spacecraft_smooth_model *model,
         return SPACECRAFT_SMOOTH_OVERFLOW;
     }
     if (!spacecraft_smooth_finite(y, 3)) {
+        return SPACECRAFT_SMOOTH_OVERFLOW;
+    }
+    return SPACECRAFT_SMOOTH_OK;
+}
+
+static void spacecraft_smooth_eval_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
+{
+    const double t0 = model->I_1 * in->u[0];
+    const double t1 = model->c0 * in->u[1];
+    const double t2 = t1 * in->u[2];
+    const double t3 = t2 + in->tau[0];
+    const double t4 = t0 * t3;
+    const double t5 = model->I_2 * in->u[1];
+    const double t6 = in->u[2] * model->c1;
+    const double t7 = in->u[0] * t6;
+    const double t8 = t7 + in->tau[1];
+    const double t9 = t5 * t8;
+    const double t10 = t4 + t9;
+    const double t11 = model->I_3 * in->u[2];
+    const double t12 = in->u[0] * model->c2;
+    const double t13 = in->u[1] * t12;
+    const double t14 = t13 + in->tau[2];
+    const double t15 = t11 * t14;
+    const double t16 = t10 + t15;
+    const double t17 = in->u[0] * in->u[0];
+    const double t18 = model->I_1 * t17;
+    const double t19 = in->u[1] * in->u[1];
+    const double t20 = model->I_2 * t19;
+    const double t21 = t18 + t20;
+    const double t22 = in->u[2] * in->u[2];
+    const double t23 = model->I_3 * t22;
+    const double t24 = t21 + t23;
+    const double t25 = t24 * 0.5;
+    const double t26 = model->a * t25;
+    const double t27 = t16 + t26;
+    /* phi = phi(q, u, tau, t), Eq. (36) */
+    phi[0] = t27;
+    /* A = phi_tau, Eq. (39) */
+    A[0] = t0;
+    A[1] = t5;
+    A[2] = t11;
+}
+
+/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
+static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
+{
+    if (!spacecraft_smooth_input_finite(in)) {
+        return SPACECRAFT_SMOOTH_NONFINITE;
+    }
+    spacecraft_smooth_eval_phi_A(model, in, phi, A);
+    if (!spacecraft_smooth_finite(phi, 1)) {
+        return SPACECRAFT_SMOOTH_OVERFLOW;
+    }
+    if (!spacecraft_smooth_finite(A, 3)) {
         return SPACECRAFT_SMOOTH_OVERFLOW;
     }
     return SPACECRAFT_SMOOTH_OK;
