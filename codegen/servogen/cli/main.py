@@ -8,8 +8,8 @@ from servogen.cli.bench import bench_command
 from servogen.cli.check import check_command
 from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
-from servogen.cli.simulate import simulate_command
 from servogen.cli.report import report_command
+from servogen.cli.simulate import simulate_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
 from servogen.verify.harness import HarnessBuildError

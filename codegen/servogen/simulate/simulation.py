@@ -65,7 +65,6 @@ class Simulation:
         decay = {n: tuple(_scalar(e, f"simulation: decay[{n!r}]") for e in pair) for n, pair in self.decay.items()}
         object.__setattr__(self, "decay", decay)
 
-
     @property
     def events(self) -> tuple[str, ...]:
         """What can end a run, in the order of the generated loop."""

@@ -38,7 +38,7 @@ class Twin(ABC):
 
     def __getattr__(self, name: str) -> Any:
         if name in ("S", "z", "psi", "A", "B", "phi", "R", "T", "F"):
-            raise AttributeError(f"scene {self.scene.name!r} has no {name}: it is a {self.scene.kind} scene")
+            raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def pinv(self, matrix: Any) -> tuple[FloatArray, Info]:
