@@ -25,16 +25,18 @@ def build(
     prefix: str | None = None,
     *,
     math: Math = "own",
+    casadi_abi: bool = False,
 ) -> Package:
     """Generate the C of a scene.
 
     out: the package's folder; None makes a temporary one. scalar: "float64" or "float32".
     prefix: of all C names; default the scene's name, and name_f32 for float32.
     math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
+    casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
     Raises SceneError for anything wrong with the scene.
     """
     module = compile_scene(scene, target_for(scene.name, scalar, prefix, math))
-    return write(render(module), out, module, scene)
+    return write(render(module, casadi_abi), out, module, scene)
 
 
 def compile_scene(scene: Scene, target: Target) -> Module:

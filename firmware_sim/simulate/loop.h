@@ -12,7 +12,7 @@
 
 #include "scalar.h"
 
-#define SIM_MAX_STAGES 4 /* of the methods in sim_methods; the workspace is made for so many */
+#define SIM_MAX_STAGES 12 /* of the methods in sim_methods; the workspace is made for so many */
 #define SIM_WORK(states) ((SIM_MAX_STAGES + 1) * (states)) /* reals of workspace for a system of so many states */
 
 /* Why a run ended. */
@@ -51,7 +51,7 @@ typedef struct {
     const real *a, *b, *c;
 } sim_method;
 
-enum { SIM_RK4 = 0, SIM_METHODS = 1 };
+enum { SIM_RK4 = 0, SIM_DOP8 = 1, SIM_METHODS = 2 };
 extern const sim_method sim_methods[SIM_METHODS];
 
 /* One scene's closed loop. Each function returns 0, or nonzero with reason and detail of *stop set. */

@@ -9,6 +9,7 @@ import numpy as np
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Boundary, Errors, Output
 from servogen.derive.derive import derive
+from servogen.derive.formulation import Weight
 from servogen.derive.lower import lower
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
 from servogen.results import FloatArray
@@ -23,6 +24,8 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     """S, z by the program's 50-digit interpreter, and tau by exact elimination with them."""
     formulation = derive(scene)
     matrix, right = formulation.system
+    weight = formulation.weight
+    factorised = formulation.factorised
     columns = inputs.columns()
     l = scene.controls
     columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
@@ -32,8 +35,17 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
         y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
-        result[Output.ANSWER].append(_minimum_norm(S, z, y))
+        result[Output.ANSWER].append(
+            _minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l)
+        )
     return result
+
+
+def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, weight: Weight, l: int) -> list[Any]:
+    """L^-T times the minimum norm in L^T tau."""
+    sigma = _minimum_norm(exact[factorised], right, exact.get("y_w", [mp.mpf(0)] * l))
+    with mp.workdps(DIGITS):
+        return [mp.fsum(exact["recover"][e] * sigma[j] for e, j in row) for row in weight.pattern]
 
 
 def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:

@@ -22,7 +22,7 @@ def arguments(scene: Scene) -> list[tuple[str, Any]]:
 def expressions(scene: Scene) -> dict[Output, Any]:
     """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41)."""
     S, z = _servo(scene) if scene.kind == "servo" else _controls(scene)
-    inverse = ca.pinv(S)
+    inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
     else:
@@ -30,6 +30,12 @@ def expressions(scene: Scene) -> dict[Output, Any]:
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
     found = {Output.MATRIX: S, Output.RIGHT: z, Output.ANSWER: tau}
     return {output: ca.densify(expression) for output, expression in found.items()}
+
+
+def _weighted_inverse(S: Any, W: Any) -> Any:
+    """W^-1 S^T (S W^-1 S^T)^-1."""
+    right = ca.solve(W, S.T)
+    return ca.mtimes(right, ca.inv(ca.mtimes(S, right)))
 
 
 def function(scene: Scene, name: str, expression: Any, cse: bool) -> Any:

@@ -39,8 +39,8 @@ def list_scenes(as_json: bool) -> None:
             [{"name": n, "kind": s.kind, "m": s.rows, "l": s.controls, "text": t} for n, (s, t) in scenes.items()]
         )
         return
-    rows = [(n, f"{s.rows}x{s.controls}", "S tau = z" if s.kind == "servo" else "A tau' = B", t)
-            for n, (s, t) in scenes.items()]  # fmt: skip
+    systems = {"servo": "S tau = z", "ideal": "G tau = R", "controls": "A tau' = B"}
+    rows = [(n, f"{s.rows}x{s.controls}", systems[s.kind], t) for n, (s, t) in scenes.items()]
     table("Built-in scenes", ("name", "shape", "system", "what it is"), rows)
 
 
@@ -50,12 +50,15 @@ def list_scenes(as_json: bool) -> None:
 @prefix_option
 @math_option
 @out_option
+@click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @json_option
-def generate(scene: str, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
+def generate(
+    scene: str, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, casadi_abi: bool, as_json: bool
+) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
     loaded = load_scene(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
-    _report(build(loaded, folder, scalar, prefix, math=math), as_json)
+    _report(build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi), as_json)
 
 
 @click.command()

@@ -15,7 +15,8 @@ from servogen.scene.loading import load_simulation
 from servogen.scene.solver import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
-from servogen.simulate.plots import write_plots
+from servogen.simulate.plots import METHOD_NAMES, write_plots
+from servogen.simulate.simulation import METHODS
 from servogen.simulate.trajectory import Trajectory
 
 
@@ -24,6 +25,7 @@ from servogen.simulate.trajectory import Trajectory
 @scalar_option
 @click.option("--duration", type=float, help="Seconds; default as in the scene's file, else 10.")
 @click.option("--step", type=float, help="Seconds between rows; default as in the scene's file, else 0.001.")
+@click.option("--method", type=click.Choice(METHODS), help="Of the integration; default as in the scene's file.")
 @click.option("--hold", is_flag=True, help="One tick of the controller a step, tau held in between, as in firmware.")
 @click.option(
     "--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1."
@@ -41,6 +43,7 @@ def simulate_command(
     scalar: Scalar,
     duration: float | None,
     step: float | None,
+    method: str | None,
     hold: bool,
     start: Sequence[str],
     references: Sequence[str],
@@ -50,7 +53,7 @@ def simulate_command(
     no_plots: bool,
     as_json: bool,
 ) -> None:
-    """Run SCENE in closed loop: its controller and its plant, both generated C, under RK4.
+    """Run SCENE in closed loop: its controller and its plant, both generated C, by fixed steps.
 
     Where it starts, how long it runs, what is drawn and what stops it comes from the variable `simulation`
     (sg.Simulation) of the scene's file. Exit code 1 where a negative status ended the run.
@@ -67,6 +70,7 @@ def simulate_command(
             references=_assignments(references, "--reference"),
             parameters=_assignments(parameters, "--parameter"),
             hold=hold,
+            method=method,
             project=not no_project,
             progress=lambda done, total: advance(done, total, f"{loaded.name}: steps"),
         )
@@ -142,7 +146,9 @@ def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Pa
     rows = [(n, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n in names]
     table(f"{trajectory.scene} ({summary['scalar']}): {trajectory.stop}", ("quantity", "start", "end"), rows)
     way = "one controller tick a step" if trajectory.hold else "controller in every stage"
-    out.print(f"  RK4, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False)
+    out.print(
+        f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
+    )
     psi = trajectory.constraint_name
     out.print(f"  {psi} off its prescribed decay by at most {summary['constraint_error']:.3g}", markup=False)
     for name, error in summary["decay_error"].items():

@@ -5,6 +5,8 @@ import casadi as ca
 from servogen.derive.formulation import Formulation, Quantity
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.rates import rate
+from servogen.derive.servo import free_quantities
+from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved
 from servogen.scene.scene import Scene
 
@@ -32,6 +34,6 @@ def derive_controls(scene: Scene) -> Formulation:
             needs_mass=True,
         ),
     ]
-    if isinstance(scene.y, ca.SX):
-        quantities.append(Quantity("y", scene.y, "Eq. (54)", "the free vector"))
-    return Formulation(scene, tuple(quantities), mass, affine_in_tau=not ca.depends_on(A, mech.tau))
+    weight = weigh(scene)
+    quantities += free_quantities(scene, A, "A", "Eq. (54)", weight)
+    return Formulation(scene, tuple(quantities), mass, affine_in_tau=not ca.depends_on(A, mech.tau), weight=weight)

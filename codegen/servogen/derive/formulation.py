@@ -29,21 +29,48 @@ class MassTreatment:
 
 
 @dataclass(frozen=True, eq=False)
+class Weight:
+    """W = L L^T with sigma = L^T tau: the plain minimum norm in sigma is the weighted one in tau.
+
+    L, N = L^-T: l x l SX. entries: the structural nonzeros of N, row by row, a column; pattern: per row of N the
+    (place in entries, column) of each.
+    """
+
+    L: Any
+    N: Any
+    entries: Any
+    pattern: tuple[tuple[tuple[int, int], ...], ...]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
 class Formulation:
-    """S tau = z or A tau' = B with what belongs to it; `system` names the two, `constraint` psi or phi."""
+    """S tau = z, G tau = R or A tau' = B with what belongs to it; `system` names the two, `constraint` psi or phi."""
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
     affine_in_tau: bool = True
+    weight: Weight | None = None
 
     @property
     def system(self) -> tuple[str, str]:
-        return ("S", "z") if self.scene.kind == "servo" else ("A", "B")
+        """The matrix and the right side as the paper names them; R is no quantity, it takes a solve of its own."""
+        return {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
+
+    @property
+    def factorised(self) -> str:
+        """The matrix the solver gets: the system's own, or that times L^-T where there is a weight."""
+        return self.system[0] if self.weight is None else f"{self.system[0]}_w"
+
+    @property
+    def reach(self) -> str:
+        """The matrix none of whose rows may vanish identically: a constraint's way to the controls."""
+        return "J" if self.scene.kind == "ideal" else self.system[0]
 
     @property
     def constraint(self) -> str:
-        return "psi" if self.scene.kind == "servo" else "phi"
+        return "phi" if self.scene.kind == "controls" else "psi"
 
     def __getitem__(self, name: str) -> Any:
         """The SX of the quantity of that name."""

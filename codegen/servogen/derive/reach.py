@@ -23,13 +23,13 @@ def check_reach(formulation: Formulation) -> None:
 
     A row is identically zero when it is within its own rounding error of zero at every state drawn.
     """
-    scene, name = formulation.scene, formulation.system[0]
+    scene, name = formulation.scene, formulation.reach
     labels = _row_labels(scene)
     quantities = [q for q in formulation.quantities if q.name == name]
     program = number_values(optimise(lower_quantities(scene, quantities)))
     states = draw_states(scene, _SAMPLES) | parameter_defaults(scene)
     values = evaluate(program, states)[name]
-    bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, scene.rows, scene.controls)
+    bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, *formulation[name].shape)
     good = np.all(np.isfinite(values), axis=(1, 2)) & np.all(np.isfinite(bounds), axis=(1, 2))
     if not np.any(good):
         raise SceneError(f"{name} is not finite at any state drawn from the domain; give a domain in which it is")
@@ -40,7 +40,7 @@ def check_reach(formulation: Formulation) -> None:
                 f"{label} does not reach the controls: its row of {name} is identically zero. Its relative degree is "
                 "higher; constrain a quantity that the controls change sooner, such as its derivative"
             )
-    if scene.rows <= scene.controls:
+    if scene.rows <= formulation[name].size2():
         _warn_of_dependence(name, labels, values)
 
 

@@ -4,32 +4,53 @@ from typing import Any
 
 import casadi as ca
 
-from servogen.derive.formulation import Formulation, Quantity
+from servogen.derive.formulation import Formulation, Quantity, Weight
 from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
+from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.scene import Scene
 
 
 def derive_servo(scene: Scene) -> Formulation:
-    """psi, S and z; also y where it is an expression."""
+    """psi, S and z; also y where it is an expression, and S L^-T with its like where there is a weight."""
     mech = scene.mechanism
-    rows = [_rows(scene, c) for c in scene.constraints]
-    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*rows, strict=True))
+    psi, J, X, prescribed = constraint_rows(scene)
     # m solves with Q for the rows of psi_u, not l for the columns of G
     W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
     W = W_transposed.T
     S = ca.mtimes(W, mech.G)
     z = prescribed - X - ca.mtimes(W, mech.P)
     words = _words(scene)
+    weight = weigh(scene)
     quantities = [
         Quantity("psi", psi, *words["psi"]),
         Quantity("S", S, *words["S"], needs_mass=True),
         Quantity("z", z, *words["z"], needs_mass=True),
+        *free_quantities(scene, S, "S", "Eq. (10)", weight),
     ]
-    if isinstance(scene.y, ca.SX):
-        quantities.append(Quantity("y", scene.y, "Eq. (10)", "the free vector"))
-    return Formulation(scene, tuple(quantities), mass)
+    return Formulation(scene, tuple(quantities), mass, weight=weight)
+
+
+def constraint_rows(scene: Scene) -> tuple[Any, Any, Any, Any]:
+    """psi, and J, X, right side of  J u' + X = right side  for all constraints, in the order given."""
+    rows = [_rows(scene, c) for c in scene.constraints]
+    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*rows, strict=True))
+    return psi, J, X, prescribed
+
+
+def free_quantities(scene: Scene, matrix: Any, name: str, equation: str, weight: Weight | None) -> tuple[Quantity, ...]:
+    """y where it is an expression; with a weight W = L L^T instead the matrix times L^-T, L^T y and L^-T itself."""
+    if weight is None:
+        return (Quantity("y", scene.y, equation, "the free vector"),) if isinstance(scene.y, ca.SX) else ()
+    weighted = [
+        Quantity(f"{name}_w", ca.mtimes(matrix, weight.N), equation, f"{name} L^-T, L L^T = W", needs_mass=name == "S"),
+        Quantity("recover", weight.entries, equation, "L^-T, its nonzeros"),
+    ]
+    if scene.y is not None:
+        y = scene.y_symbol if isinstance(scene.y, str) else scene.y
+        weighted.append(Quantity("y_w", ca.mtimes(weight.L.T, y), equation, "L^T y"))
+    return tuple(weighted)
 
 
 def _words(scene: Scene) -> dict[str, tuple[str, str]]:

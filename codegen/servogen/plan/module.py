@@ -1,7 +1,8 @@
 """What the planner decides and the printer prints: every name, shape, literal and statement order of one package."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from fractions import Fraction
+from typing import Any, Literal
 
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
@@ -75,16 +76,50 @@ class EntryPoint:
 
 
 @dataclass(frozen=True)
+class Known:
+    """The matrix to solve with does not depend on the state, and its pseudo-inverse is at hand at each tick.
+
+    when "generation": matrix and inverse are exact numbers, row by row. when "prepare": `kernel` computes the matrix
+    from the model, and prepare its pseudo-inverse.
+    """
+
+    when: Literal["generation", "prepare"]
+    matrix: tuple[Fraction, ...] = ()
+    inverse: tuple[Fraction, ...] = ()
+    status: str = "OK"
+    rank: int = 0
+    sigma_min: float = 0.0
+    kernel: Kernel | None = None
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """R = J^T reaction_matrix^+ reaction_right, Eq. (17): what an ideal passive constraint would do."""
+
+    kernel: Kernel
+    solver: SolverPlan
+    size: int  # n
+
+
+@dataclass(frozen=True)
 class ControlPlan:
     """control, and for controls-involved scenes project and step.
 
-    system: the names of the matrix and the right side in `kernel`; y: None, "expression" (from the kernel) or "input".
+    system: the matrix and the right side as the paper names them. matrix: what the solver gets for the first (S_w where
+    there is a weight). y: None, "expression" (from the kernel, by the name `free`) or "input".
+    recover: with a weight, per row of L^-T the (place in the kernel's `recover`, column) of its nonzeros.
+    known: the matrix does not depend on the state. reaction: the right side is that of ideal control forces.
     projection: the kernel of phi and A where project and step are asked for; affine: one iteration is exact.
     """
 
     kernel: Kernel
     system: tuple[str, str]
+    matrix: str
     y: str | None
+    free: str = "y"
+    recover: tuple[tuple[tuple[int, int], ...], ...] = ()
+    known: Known | None = None
+    reaction: Reaction | None = None
     projection: Kernel | None = None
     projection_cap: int = 0
 

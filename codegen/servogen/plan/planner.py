@@ -5,13 +5,25 @@ import hashlib
 from collections.abc import Sequence
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.ideal import REACTION
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
 from servogen.optimise.for_scene import SceneProgram
 from servogen.plan.chunks import split
+from servogen.plan.known import plan_known
 from servogen.plan.mathematics import Math, pair_angles
-from servogen.plan.module import ControlPlan, EntryPoint, Kernel, Module, Prepare, Result, StructField, Target
+from servogen.plan.module import (
+    ControlPlan,
+    EntryPoint,
+    Kernel,
+    Module,
+    Prepare,
+    Reaction,
+    Result,
+    StructField,
+    Target,
+)
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
 from servogen.scene.scene import Scene
@@ -29,22 +41,14 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     matrix, right = formulation.system
     constraint = formulation.constraint
-    entry_points = [
-        EntryPoint(constraint, cutter.kernel(constraint)),
-        EntryPoint(matrix, cutter.kernel(matrix)),
-        EntryPoint(right, cutter.kernel(right)),
-        EntryPoint(f"{matrix}_{right}", cutter.kernel(matrix, right)),
-    ]
-    y = None if scene.y is None else "input" if isinstance(scene.y, str) else "expression"
-    system = (matrix, right, "y") if y == "expression" else (matrix, right)
-    projection = cutter.kernel(constraint, matrix) if scene.kind == "controls" else None
-    cap = 0 if projection is None else 1 if formulation.affine_in_tau else PROJECTION_CAP
-    control = ControlPlan(cutter.kernel(*system), (matrix, right), y, projection, cap)
-    always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if y == "input" else set())
+    names = (constraint, "T", "F") if scene.kind == "ideal" else (constraint, matrix, right)
+    entry_points = [EntryPoint(name, cutter.kernel(name)) for name in names]
+    if scene.kind != "ideal":
+        entry_points.append(EntryPoint(f"{matrix}_{right}", cutter.kernel(matrix, right)))
+    solver = dataclasses.replace(plan_solver(*scene.system_shape, target.scalar, scene.solver), root=_root(target))
+    control = _plan_control(formulation, staged, cutter, solver)
+    always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if control.y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
-    solver = dataclasses.replace(
-        plan_solver(scene.rows, scene.controls, target.scalar, scene.solver), root=_root(target)
-    )
     return Module(
         scene=scene.name,
         target=target,
@@ -58,8 +62,39 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
         control=control,
         solver=solver,
         mass_tolerance=_mass_tolerance(scene, target.scalar),
-        skipped=_skipped(formulation, optimised, solver, inputs, staged),
+        skipped=_skipped(formulation, optimised, control, solver, inputs, staged),
     )
+
+
+def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", solver: SolverPlan) -> ControlPlan:
+    """What the control function computes itself, and what it is handed."""
+    scene, matrix = formulation.scene, formulation.factorised
+    weight = formulation.weight
+    free = "y" if weight is None else "y_w"
+    y = None if scene.y is None else "input" if isinstance(scene.y, str) and weight is None else "expression"
+    known = plan_known(staged, cutter.result(matrix), solver) if scene.kind != "controls" else None
+    reaction = None
+    right: tuple[str, ...] = (formulation.system[1],)
+    if scene.kind == "ideal":
+        right = REACTION
+        planned = plan_solver(scene.rows, scene.rows, solver.scalar, _reaction_solver(scene.solver))
+        planned = dataclasses.replace(planned, root=solver.root)
+        reaction = Reaction(cutter.kernel(*REACTION), planned, scene.system_shape[0])
+    names = ((matrix,) if known is None else ()) + right
+    names += (free,) if y == "expression" else ()
+    names += ("recover",) if weight is not None else ()
+    kernel = cutter.kernel(*names)
+    if known is not None and known.kernel is not None:
+        cutter.add(known.kernel)
+    projection = cutter.kernel(formulation.constraint, formulation.system[0]) if scene.kind == "controls" else None
+    cap = 0 if projection is None else 1 if formulation.affine_in_tau else PROJECTION_CAP
+    pattern = weight.pattern if weight is not None else ()
+    return ControlPlan(kernel, formulation.system, matrix, y, free, pattern, known, reaction, projection, cap)
+
+
+def _reaction_solver(solver: Solver) -> Solver:
+    """For J Q^-1 J^T: tolerances per row, and damping, are the user's for G alone."""
+    return Solver(method=solver.method, rank=solver.rank)
 
 
 def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
@@ -130,14 +165,19 @@ class _Cutter:
             dividing = any(q.needs_mass and q.name not in self._free_of_mass for q in quantities)
             guarded = self._staged.tick_guards if dividing else 0
             outputs = names + ((MASS_PIVOT, MASS_SCALE) if guarded else ())
-            results = tuple(
-                Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula) for q in quantities
-            )
+            results = tuple(self.result(q.name) for q in quantities)
             program = cut(self._staged.tick, label, outputs)
             chunks = split(program)
             pairs = () if chunks else pair_angles(program, self._math)  # a pair cannot cross from piece to piece
             self._kernels[label] = Kernel(label, program, results, guarded, chunks, pairs)
         return self._kernels[label]
+
+    def result(self, name: str) -> Result:
+        q = self._quantities[name]
+        return Result(q.name, q.expression.size1(), q.expression.size2(), q.equation, q.formula)
+
+    def add(self, kernel: Kernel) -> None:
+        self._kernels[kernel.name] = kernel
 
     def kernels(self) -> tuple[Kernel, ...]:
         return tuple(self._kernels.values())
@@ -180,6 +220,7 @@ def _mass_tolerance(scene: Scene, scalar: Scalar) -> float:
 def _skipped(
     formulation: Formulation,
     optimised: SceneProgram,
+    control: ControlPlan,
     solver: SolverPlan,
     inputs: Sequence[StructField],
     staged: Staged,
@@ -200,14 +241,21 @@ def _skipped(
         system.append(f"{early} operations of parameters alone: done once, in prepare")
     system += optimised.remarks
     matrix, right = formulation.system
-    entries = {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
-    by_entry = {name: (*_about_mass(formulation, optimised, parts), *system) for name, parts in entries.items()}
-    control = [*by_entry[f"{matrix}_{right}"]]
-    if solver.kind != "svd":
-        control.append(f"SVD: S is a {solver.kind}, the closed form is exact")
+    parts_of = (
+        {} if scene.kind == "ideal" else {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
+    )
+    by_entry = {name: (*_about_mass(formulation, optimised, parts), *system) for name, parts in parts_of.items()}
+    reasons = [*_about_mass(formulation, optimised, [r.name for r in control.kernel.results]), *system]
+    if control.known is not None:
+        where = "at generation" if control.known.when == "generation" else "in prepare"
+        reasons.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
+    elif solver.kind != "svd":
+        reasons.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")
+    if formulation.weight is not None:
+        reasons.append(f"inverse of W: {formulation.weight.reason}")
     if scene.y is None:
-        control.append("null-space projector: y is absent")
-    return by_entry | {"control": tuple(control)}
+        reasons.append("null-space projector: y is absent")
+    return by_entry | {"control": tuple(reasons)}
 
 
 def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ CONSISTENCY = 8
 """A row is met when its residual is below CONSISTENCY max(m, l) u (|S_i| (|tau| + |y|) + |z_i|): a backward error."""
 
 PATH_MEANING: dict[Path, str] = {
-    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made by prepare",
+    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made at generation, or by prepare",
     Path.CLOSED_FORM: "one row or one column",
     Path.NORMAL: "normal equations, certified and refined",
     Path.QR: "pivoted QR, certified and refined",
@@ -197,6 +197,7 @@ def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str
         "plan": plan,
         "bits": BITS[plan.scalar],
         "lit": literal,
+        "emit": {"solve": True, "pinv": True, "known": False},  # the functions to print; a scene may need fewer
         "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],
         "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
     }

@@ -9,6 +9,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.errors import SceneError
+from servogen.plan.known import known_operations
 from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import pieces, reads, statements
@@ -45,8 +46,11 @@ def environment() -> Environment:
     return templates
 
 
-def render(module: Module) -> tuple[SourceFile, ...]:
-    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant."""
+def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
+    """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant.
+
+    casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
+    """
     _check_defaults(module)
     prefix = module.target.prefix
     templates = environment()
@@ -57,6 +61,9 @@ def render(module: Module) -> tuple[SourceFile, ...]:
         SourceFile(f"{prefix}.c", templates.get_template(f"{kind}.c.j2").render(context)),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
+    if casadi_abi:
+        shim = templates.get_template("casadi.c.j2").render(context | _shim(module))
+        files.append(SourceFile(f"{prefix}_casadi.c", shim))
     return (*files, SourceFile("manifest.json", _manifest(module, files)))
 
 
@@ -86,7 +93,35 @@ def _context(module: Module) -> dict[str, Any]:
         "mt": math_context(scalar) if module.own_functions else None,
         "reads": reads,
         "initialiser": partial(_initialiser, scalar=scalar),
+        "emit": _emitted(module),
+        "info_type": f"{module.target.prefix}_info",
+        "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
+        "scene_y": _scene_y(module),
     }
+
+
+def _shim(module: Module) -> dict[str, Any]:
+    """The arguments of the external function: parameters, then inputs, each a dense column."""
+    assert module.control is not None
+    fields = [("params", f) for f in module.parameters] + [("in", f) for f in module.inputs]
+    arguments = [
+        {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
+        for k, (struct, f) in enumerate(fields)
+    ]
+    return {"arguments": arguments, "answer": "tau_dot" if module.control.system[0] == "A" else "tau"}
+
+
+def _emitted(module: Module) -> dict[str, bool]:
+    """Which functions of the solver the package calls; no other is printed."""
+    known = module.control is not None and module.control.known is not None
+    return {"solve": not known, "pinv": True, "known": known}
+
+
+def _scene_y(module: Module) -> str | None:
+    """Where y comes from in the user's words: weighted, an input is an expression to the solver."""
+    if module.control is None or module.control.y is None:
+        return None
+    return "input" if any(f.name == "y" for f in module.inputs) and module.control.y else module.control.y
 
 
 def _title(module: Module) -> str:
@@ -113,6 +148,9 @@ def _initialiser(values: tuple[float, ...], scalar: str) -> str:
 def _solver_cost(module: Module) -> str:
     if module.solver is None:
         return "none"
+    if module.control is not None and module.control.known is not None:
+        total = known_operations(module.solver, module.control.y is not None)["apply"]["total"]
+        return f"{total} operations, no factorisation"
     costs = solver_operations(module.solver)
     if "closed_form" in costs:
         return f"{costs['closed_form']['total']} operations, closed form"
@@ -133,6 +171,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     }
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
+        manifest["solver"]["known"] = module.control.known.when if module.control and module.control.known else None
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
     if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}
@@ -161,9 +200,16 @@ def _entry_points(module: Module, solver_counts: dict[str, Any] | None) -> dict[
         points["solve"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
         return points
     control = module.control
+    if control.reaction is not None:
+        points["R"] = {
+            "operations": control.reaction.kernel.program.operations(),
+            "solver_operations": solver_operations(control.reaction.solver),
+            "skipped": [],
+        }
+    assert module.solver is not None
     points["control"] = {
         "operations": control.kernel.program.operations(),
-        "solver_operations": solver_counts,
+        "solver_operations": known_operations(module.solver, control.y is not None) if control.known else solver_counts,
         "skipped": list(module.skipped["control"]),
     }
     if control.projection is not None:

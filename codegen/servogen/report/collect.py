@@ -15,11 +15,15 @@ from servogen.bench.run import bench
 from servogen.compiler import build
 from servogen.derive.derive import derive
 from servogen.package import Package
+from servogen.report.paper import SCENES as PAPER
+from servogen.report.paper import draw_paper
+from servogen.scene.constraints import expression_of, theta_parts
 from servogen.scene.loading import builtin_names, builtin_summary, load_simulation
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
+from servogen.simulate.precision import draw_precision, measure
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
 from servogen.verify.check import CheckReport, check
@@ -44,13 +48,16 @@ class SceneReport:
     scene: Scene
     manifests: dict[str, dict[str, Any]]  # by scalar
     quantities: tuple[tuple[str, str, str, str], ...]  # name, shape, equation, formula
+    constraints: tuple[tuple[str, str, str], ...]  # name, kind, the expression and its Theta as written
+    patterns: tuple[tuple[str, list[list[bool]]], ...]  # name of a matrix, and where it is not identically zero
     mass: str
     call: str
     trajectory: Trajectory
     decay_error: dict[str, float]
     motion: tuple[Figure, ...]
-    bench: Bench
-    speed: Figure
+    bench: Bench | None
+    speed: Figure | None
+    precision: Figure
     folder: str
 
 
@@ -62,6 +69,7 @@ class Report:
     check: CheckReport
     board: CheckReport | None
     skipped: tuple[str, ...]
+    paper: tuple[Figure, ...] = ()
 
 
 def collect(
@@ -78,7 +86,7 @@ def collect(
     board: a target to repeat the cross-check on, or None.
     """
     loaded = [(spec, *load_simulation(spec)) for spec in specs]
-    steps = 3 * len(loaded) + 1 + (board is not None)
+    steps = 4 * len(loaded) + 2 + (board is not None)
     done = 0
 
     def say(text: str) -> None:
@@ -93,7 +101,13 @@ def collect(
     if board is not None:
         say(f"cross-check on {board}")
         emulated = check([scene for _, scene, _ in loaded], board, states)
-    return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped))
+    paper: tuple[Figure, ...] = ()
+    if any(s.name in PAPER for s in scenes):
+        say("the paper's figures")
+        known = {s.name: s.trajectory for s in scenes}
+        drawn = draw_paper(folder / "paper", lambda name: known.get(name) or ClosedLoop(*load_simulation(name)).run())
+        paper = tuple(Figure(_data_uri(file), caption) for file, caption in drawn)
+    return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped), paper)
 
 
 def _scene_report(
@@ -110,8 +124,12 @@ def _scene_report(
     write_csv(trajectory, own / "trajectory.csv")
     pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
     say(f"{scene.name}: run time against error")
-    measured = bench(scene, rounds=rounds)
-    drawn = next(p for p in draw(measured, own) if p.suffix == ".svg")
+    measured = bench(scene, rounds=rounds) if scene.kind != "ideal" else None
+    drawn = next(p for p in draw(measured, own) if p.suffix == ".svg") if measured else None
+    say(f"{scene.name}: step size, method and scalar against error")
+    duration = min(2.0, 0.5 * trajectory.stop.t)
+    steps = [duration / n for n in (20, 40, 80, 160, 320, 640, 1280)]
+    precision = draw_precision(scene.name, duration, measure(scene, simulation, duration, steps), own / "precision")
     formulation = derive(scene)
     return SceneReport(
         name=scene.name,
@@ -122,15 +140,34 @@ def _scene_report(
             (q.name, f"{q.expression.size1()}×{q.expression.size2()}", q.equation, q.formula)
             for q in formulation.quantities
         ),
+        constraints=tuple(_constraint(c) for c in scene.constraints),
+        patterns=(_pattern("Q", scene.mechanism.Q), _pattern(formulation.reach, formulation[formulation.reach])),
         mass=formulation.mass.reason,
         call=_call(packages["float64"]),
         trajectory=trajectory,
         decay_error={n: _relative(trajectory.outputs[n], ideal) for n, ideal in trajectory.decay.items()},
         motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
         bench=measured,
-        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error"),
+        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error") if drawn else None,
+        precision=Figure(_data_uri(precision), f"{scene.name}: closed loop, run time against error"),
         folder=scene.name,
     )
+
+
+def _constraint(constraint: Any) -> tuple[str, str, str]:
+    """A constraint in CasADi's words, cut where it is long."""
+    texts = {"psi" if hasattr(constraint, "psi") else "phi": expression_of(constraint), **theta_parts(constraint)}
+    words = "; ".join(f"{name} = {_short(str(sx))}" for name, sx in texts.items())
+    return constraint.name, type(constraint).__name__, words
+
+
+def _short(text: str, length: int = 400) -> str:
+    return text if len(text) <= length else f"{text[:length]} ..."
+
+
+def _pattern(name: str, matrix: Any) -> tuple[str, list[list[bool]]]:
+    rows, columns = matrix.shape
+    return name, [[not matrix[i, j].is_zero() for j in range(columns)] for i in range(rows)]
 
 
 def _relative(values: Any, ideal: Any) -> float:

@@ -21,7 +21,7 @@ from servogen.scene.constraints import (
     expression_of,
     theta_parts,
 )
-from servogen.scene.convert import column
+from servogen.scene.convert import column, matrix
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
 from servogen.scene.solver import Solver
@@ -37,7 +37,9 @@ class Scene:
 
     constraints: Nonholonomic and Holonomic ones, or ControlsInvolved ones; rows stack in the order given.
     y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
-    weight: reserved for the weighted minimum; mode: "servo" (Eq. 10).
+    weight: W, l x l, symmetric positive definite, numbers or SX of the inputs and parameters: tau minimises
+        (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity.
+    mode: "servo" (Eq. 10), or "ideal": G tau = R, the forces of an ideal passive constraint (Eqs. 13-17).
     domain: ranges {"q": (lo, hi), ...} or a callable taking a numpy Generator and returning one state;
         every check draws its states from it.
     """
@@ -75,14 +77,17 @@ class Scene:
             if isinstance(self.y, str):
                 raise SceneError(f"y={self.y!r}; give None, an SX expression of the inputs, or 'input'")
             object.__setattr__(self, "y", column(self.y, "y", self.controls))
-        _check_unbuilt(self)
+        if self.weight is not None:
+            l = self.controls
+            object.__setattr__(self, "weight", matrix(self.weight, "weight", l, l, "one row and column per control"))
+        _check_mode(self)
         _check_kinds(self)
         _check_names(self)
         _check_symbols(self)
         _check_operations(self)
         _check_theta_of_parameters(self)
         _check_domain(self)
-        if self.rows > self.controls:
+        if self.rows > self.controls and self.kind != "ideal":
             names = ", ".join(repr(c.name) for c in self.constraints)
             warnings.warn(
                 f"scene {self.name!r}: {self.rows} rows of constraints ({names}) for {self.controls} controls can "
@@ -91,9 +96,9 @@ class Scene:
             )
 
     @property
-    def kind(self) -> Literal["servo", "controls"]:
-        """Servo-constraints (S tau = z) or controls-involved ones (A tau' = B)."""
-        return "controls" if isinstance(self.constraints[0], ControlsInvolved) else "servo"
+    def kind(self) -> Literal["servo", "ideal", "controls"]:
+        """Servo-constraints (S tau = z), ideal control forces (G tau = R) or controls-involved ones (A tau' = B)."""
+        return "controls" if isinstance(self.constraints[0], ControlsInvolved) else self.mode
 
     @property
     def rows(self) -> int:
@@ -104,6 +109,12 @@ class Scene:
     def controls(self) -> int:
         """l, the number of controls."""
         return int(self.mechanism.tau.size1())
+
+    @property
+    def system_shape(self) -> tuple[int, int]:
+        """Rows and columns of the matrix that is solved with: S or A (m x l), G of ideal control forces (n x l)."""
+        rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
+        return rows, self.controls
 
     def input_fields(self) -> tuple[Field, ...]:
         """Every input the scene may have, in the order of the generated struct: q, u, t, tau, y, the references."""
@@ -144,18 +155,14 @@ def _parts(scene: Scene) -> dict[str, Any]:
             parts[f"constraint {c.name!r}: {name}"] = theta
     if isinstance(scene.y, ca.SX):
         parts["y"] = scene.y
+    if scene.weight is not None:
+        parts["weight"] = scene.weight
     return parts
 
 
-def _check_unbuilt(scene: Scene) -> None:
+def _check_mode(scene: Scene) -> None:
     if scene.mode not in ("servo", "ideal"):
         raise SceneError(f"scene {scene.name!r}: mode={scene.mode!r}; choose 'servo' or 'ideal'")
-    if scene.mode == "ideal":
-        raise SceneError(
-            f"scene {scene.name!r}: mode='ideal' (Eqs. 13-17) is not built yet; use mode='servo' and a y of your own"
-        )
-    if scene.weight is not None:
-        raise SceneError(f"scene {scene.name!r}: weight is not built yet; scale tau in G so that the weight is I")
 
 
 def _check_kinds(scene: Scene) -> None:
@@ -189,8 +196,20 @@ def _check_kinds(scene: Scene) -> None:
                 raise SceneError(f"{what}: tau is missing from phi; use sg.Nonholonomic for psi(q, u, t)")
         elif ca.depends_on(expression, mech.tau):
             raise SceneError(f"{what}: psi depends on tau; use sg.ControlsInvolved for phi(q, u, tau, t)")
-    if scene.kind == "servo" and isinstance(scene.y, ca.SX) and ca.depends_on(scene.y, mech.tau):
-        raise SceneError("y depends on tau, which a servo scene solves for; make y a function of the inputs")
+    if scene.mode == "ideal" and involved:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' has no meaning for the controls-involved constraint {involved[0]!r}; "
+            "leave mode at 'servo'"
+        )
+    if scene.kind == "ideal" and scene.rows > mech.u.size1():
+        raise SceneError(
+            f"scene {scene.name!r}: {scene.rows} rows of constraints on {mech.u.size1()} velocity parameters; "
+            "an ideal constraint force takes at most as many: drop the others"
+        )
+    for what in ("y", "weight"):
+        value = getattr(scene, what)
+        if scene.kind != "controls" and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
+            raise SceneError(f"{what} depends on tau, which the scene solves for; make {what} a function of the inputs")
     assert scene.parameters is not None
     parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
     for c in scene.constraints:

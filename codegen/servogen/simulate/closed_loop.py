@@ -3,7 +3,9 @@
 import ctypes as ct
 import math
 import tempfile
+import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.ideal import ideal_decay
 from servogen.simulate.simulation import (
+    METHODS,
     Simulation,
     check_simulation,
     known_symbols,
@@ -26,9 +29,6 @@ from servogen.simulate.simulation import (
 from servogen.simulate.sources import LoopSources, write_loop
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import compile_library
-
-METHODS = ("rk4",)
-"""The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
 
 HOLD_SUBSTEPS = 4
 """Runge-Kutta steps between two ticks of a sampling controller: their error is far below that of the hold."""
@@ -108,9 +108,10 @@ class ClosedLoop:
         parameters: Mapping[str, Any] | None = None,
         hold: bool = False,
         project: bool = True,
+        method: str | None = None,
         progress: Progress | None = None,
     ) -> Trajectory:
-        """Integrate from t = 0 by fixed steps of the classical Runge-Kutta method.
+        """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
         shortened so that it divides the duration. references: y and references by name, constant over the run unless
@@ -122,8 +123,14 @@ class ClosedLoop:
         duration, step, steps = self._grid(duration, step)
         inputs = start_values(self.scene, self.simulation, {**(start or {}), **(references or {})})
         values = self._parameters(parameters or {})
-        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, progress)
-        return self._trajectory(rows, marks, stop, inputs, values, step, hold)
+        method = self.simulation.method if method is None else method
+        if method not in METHODS:
+            raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
+        began = time.perf_counter()
+        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, METHODS.index(method), progress)
+        seconds = time.perf_counter() - began
+        found = self._trajectory(rows, marks, stop, inputs, values, step, hold, method)
+        return replace(found, seconds=seconds)
 
     def _grid(self, duration: float | None, step: float | None) -> tuple[float, float, int]:
         duration = self.simulation.duration if duration is None else float(duration)
@@ -152,6 +159,7 @@ class ClosedLoop:
         steps: int,
         hold: bool,
         project: bool,
+        method: int,
         progress: Progress | None,
     ) -> tuple[FloatArray, Any, Stop]:
         sizes = self._sizes()
@@ -168,7 +176,8 @@ class ClosedLoop:
             )
         ]
         reals = _structs(self.scalar)
-        setup = reals.Setup(*(a.ctypes.data for a in flat), step, HOLD_SUBSTEPS if hold else 1, steps, 0, hold, project)
+        substeps = HOLD_SUBSTEPS if hold else 1
+        setup = reals.Setup(*(a.ctypes.data for a in flat), step, substeps, steps, method, hold, project)
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
@@ -193,7 +202,7 @@ class ClosedLoop:
     def _stop(self, stop: Any) -> Stop:
         reason = _REASONS[stop.reason]
         if reason == "event":
-            return Stop(reason, float(stop.t), tuple(self.simulation.stop)[stop.detail])
+            return Stop(reason, float(stop.t), self.simulation.events[stop.detail])
         return Stop(reason, float(stop.t), "", Status(stop.detail))
 
     def _trajectory(
@@ -205,6 +214,7 @@ class ClosedLoop:
         parameters: dict[str, FloatArray],
         step: float,
         hold: bool,
+        method: str,
     ) -> Trajectory:
         edges = np.cumsum([1, *self._sizes()])
         t, q, u, tau, constraint, sigma_min = np.split(rows, edges, axis=1)
@@ -220,6 +230,7 @@ class ClosedLoop:
             kind=self.scene.kind,
             step=step,
             hold=hold,
+            method=method,
             t=t[:, 0],
             q=q,
             u=u,

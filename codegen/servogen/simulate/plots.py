@@ -39,6 +39,8 @@ _STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
+METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8"}
+
 Panel = Callable[[Any], None]
 
 
@@ -81,7 +83,9 @@ def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[P
 
 
 def _title(trajectory: Trajectory) -> str:
-    way = f"tau held for {trajectory.step:g} s" if trajectory.hold else f"RK4, h = {trajectory.step:g} s"
+    way = f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
+    if trajectory.hold:
+        way = f"tau held for {trajectory.step:g} s"
     return f"{trajectory.scene}: generated C in closed loop, {way}"
 
 

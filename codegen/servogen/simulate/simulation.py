@@ -14,6 +14,9 @@ from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 from servogen.scene.symbols import chains
 
+METHODS = ("rk4", "dop8")
+"""The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
+
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
@@ -28,6 +31,9 @@ class Simulation:
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
     references: name -> function of time, lambda t: SX, for references (and y) that move; their rates r_dot and r_ddot,
         where the scene declares them, are its derivatives. What is not here is constant, see start.
+    sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
+        or a control's magnitude exceeds the other.
+    method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
     units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
     """
 
@@ -39,16 +45,32 @@ class Simulation:
     stop: Mapping[str, Any] = field(default_factory=dict)
     references: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    sigma_min: float | None = None
+    tau_max: float | None = None
+    method: str = "rk4"
 
     def __post_init__(self) -> None:
         for what in ("outputs", "stop"):
             checked = {n: _scalar(e, f"simulation: {what}[{n!r}]") for n, e in getattr(self, what).items()}
             object.__setattr__(self, what, checked)
+        for name in ("sigma_min", "tau_max"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise SceneError(f"simulation: {name} = {value!r}; give a positive number, or None")
+        if self.method not in METHODS:
+            raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
             if name not in self.outputs:
                 raise SceneError(f"simulation: decay[{name!r}] belongs to no output; add it to outputs")
         decay = {n: tuple(_scalar(e, f"simulation: decay[{n!r}]") for e in pair) for n, pair in self.decay.items()}
         object.__setattr__(self, "decay", decay)
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """What can end a run, in the order of the generated loop."""
+        margins = [] if self.sigma_min is None else [f"sigma_min <= {self.sigma_min:g}"]
+        margins += [] if self.tau_max is None else [f"|tau| > {self.tau_max:g}"]
+        return (*self.stop, *margins)
 
 
 def check_simulation(scene: Scene, simulation: Simulation) -> None:

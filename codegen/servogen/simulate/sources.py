@@ -57,6 +57,8 @@ def write_loop(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) 
         "watch": watch.module if watch else None,
         "guide": guide.module if guide else None,
         "events": len(simulation.stop),
+        "sigma_min": None if simulation.sigma_min is None else repr(simulation.sigma_min),
+        "tau_max": None if simulation.tau_max is None else repr(simulation.tau_max),
     }
     for suffix in ("h", "c"):
         text = environment().get_template(f"loop.{suffix}.j2").render(context)
@@ -98,8 +100,8 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "servo": scene.kind == "servo",
-        "constraint": "psi" if scene.kind == "servo" else "phi",
+        "servo": scene.kind != "controls",
+        "constraint": "phi" if scene.kind == "controls" else "psi",
         "given": given,
         "given_count": sum(f["size"] for f in given),
         "offsets": {f["name"]: f["offset"] for f in parameters},
@@ -108,7 +110,7 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
         "nu": nu,
         "l": scene.controls,
         "m": scene.rows,
-        "states": nq + nu + (0 if scene.kind == "servo" else scene.controls),
+        "states": nq + nu + (scene.controls if scene.kind == "controls" else 0),
     }
 
 

@@ -45,12 +45,14 @@ class Trajectory:
     ideal (N, m): the same as prescribed by Theta from the start on.
     status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
     output ought to be. parameters and inputs (y and references at t = 0): as used. step: between rows, seconds.
+    method: of the integration; seconds: that it took on this machine.
     """
 
     scene: str
-    kind: Literal["servo", "controls"]
+    kind: Literal["servo", "ideal", "controls"]
     step: float
     hold: bool
+    method: str
     t: FloatArray
     q: FloatArray
     u: FloatArray
@@ -65,15 +67,16 @@ class Trajectory:
     decay: dict[str, FloatArray] = field(default_factory=dict)
     parameters: dict[str, FloatArray] = field(default_factory=dict)
     inputs: dict[str, FloatArray] = field(default_factory=dict)
+    seconds: float = 0.0
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:
-        return "psi" if self.kind == "servo" else "phi"
+        return "phi" if self.kind == "controls" else "psi"
 
     @property
     def psi(self) -> FloatArray:
         """psi (N, m) of a servo scene."""
-        if self.kind != "servo":
+        if self.kind == "controls":
             raise AttributeError(f"scene {self.scene!r} has no psi: it is a controls scene; see phi")
         return self.constraint
 
@@ -81,5 +84,5 @@ class Trajectory:
     def phi(self) -> FloatArray:
         """phi (N, m) of a controls-involved scene."""
         if self.kind != "controls":
-            raise AttributeError(f"scene {self.scene!r} has no phi: it is a servo scene; see psi")
+            raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
         return self.constraint

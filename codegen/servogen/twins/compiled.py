@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servogen.plan.module import Module, StructField
+from servogen.plan.module import Module, Result, StructField
 from servogen.results import Control, FloatArray, Info, Path, Status
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Scalar
-from servogen.twins.interface import ControlsTwin, ServoTwin, Twin, refusal
+from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, refusal
 from servogen.verify.tools import ToolMissing
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ def load_package(
         extra = _STACK.format(p=package.prefix, real=module.target.real, **_shape(module))
         return CompiledSolver(module, compile_library(package, compiler, flags, extra))
     library = compile_library(package, compiler, flags)
-    kind = CompiledServo if package.scene.kind == "servo" else CompiledControls
-    return kind(package.scene, module, library)
+    return _TWINS[package.scene.kind](package.scene, module, library)
 
 
 def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
@@ -95,6 +94,18 @@ def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
     return type(name, (ct.Structure,), {"_fields_": members or [("none", ct.c_char)]})
 
 
+def _model_struct(module: Module) -> Any:
+    """<prefix>_model: its fields, and the matrix known in prepare with its pseudo-inverse and info."""
+    known = module.control.known if module.control else None
+    if known is None or known.when == "generation":
+        return _struct("model", module.model, module.target.scalar)
+    assert module.solver is not None
+    size = module.solver.m * module.solver.l
+    fields = (*module.model, StructField("known_matrix", size), StructField("known_pinv", size))
+    base = _struct("model", fields, module.target.scalar)
+    return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module.target.scalar))]})
+
+
 def _info_struct(scalar: Scalar) -> Any:
     real = _real(scalar)
     integers = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
@@ -126,7 +137,7 @@ class CompiledTwin(Twin):
         self._params_type = _struct("params", module.parameters, scalar)
         self._input_type = _struct("input", module.inputs, scalar)
         self._info_type = _info_struct(scalar)
-        self._model = _struct("model", module.model, scalar)()
+        self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         super().__init__(scene, scalar)
 
@@ -142,12 +153,22 @@ class CompiledTwin(Twin):
 
     def evaluate(self, entry: str, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, ...]]:
         """Call an entry point by its C name: its status and outputs, NaN where untouched."""
-        results = self._entries[entry].kernel.results
+        results = self._results(entry)
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
         status = Status(self._function(entry)(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
-        shaped = (o.reshape(r.rows, r.columns) if r.name in "SA" else o for o, r in zip(outputs, results, strict=True))
+        shaped = (
+            o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
+            for o, r in zip(outputs, results, strict=True)
+        )
         return status, tuple(shaped)
+
+    def _results(self, entry: str) -> tuple[Result, ...]:
+        """What an entry point hands out, by name and shape."""
+        if entry == "R":
+            rows = self.scene.system_shape[0]
+            return (Result("R", rows, 1, "Eq. (17)", "J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)"),)
+        return self._entries[entry].kernel.results
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         return self.evaluate(name, inputs)[1][0]
@@ -173,8 +194,15 @@ class CompiledServo(CompiledTwin, ServoTwin):
     """Compiled twin of a scene S tau = z."""
 
 
+class CompiledIdeal(CompiledTwin, IdealTwin):
+    """Compiled twin of ideal control forces G tau = R."""
+
+
 class CompiledControls(CompiledTwin, ControlsTwin):
     """Compiled twin of a controls-involved scene."""
+
+
+_TWINS: dict[str, type[CompiledTwin]] = {"servo": CompiledServo, "ideal": CompiledIdeal, "controls": CompiledControls}
 
 
 class CompiledSolver:

@@ -43,13 +43,13 @@ class Twin(ABC):
         return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
 
     def __getattr__(self, name: str) -> Any:
-        if name in ("S", "z", "psi", "A", "B", "phi"):
-            raise AttributeError(f"scene {self.scene.name!r} has no {name}: it is a {self.scene.kind} scene")
+        if name in ("S", "z", "psi", "A", "B", "phi", "R", "T", "F"):
+            raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
-        shape = (self.scene.rows, self.scene.controls)
+        shape = self.scene.system_shape
         array = np.asarray(matrix, dtype=float)
         if array.shape != shape:
             raise ValueError(f"pinv: the matrix has shape {array.shape}; this scene's are {shape}")
@@ -104,6 +104,26 @@ class ServoTwin(Twin):
     def z(self, **inputs: Any) -> FloatArray:
         """-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9)."""
         return self._evaluate("z", self.read_inputs(inputs))
+
+
+class IdealTwin(Twin):
+    """Twin of a scene of ideal control forces, G tau = R. `pinv` is that of G's shape."""
+
+    def psi(self, **inputs: Any) -> FloatArray:
+        """The constraints' values, shape (m,)."""
+        return self._evaluate("psi", self.read_inputs(inputs))
+
+    def R(self, **inputs: Any) -> FloatArray:
+        """The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17)."""
+        return self._evaluate("R", self.read_inputs(inputs))
+
+    def T(self, **inputs: Any) -> FloatArray:
+        """[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26)."""
+        return self._evaluate("T", self.read_inputs(inputs))
+
+    def F(self, **inputs: Any) -> FloatArray:
+        """[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26)."""
+        return self._evaluate("F", self.read_inputs(inputs))
 
 
 class ControlsTwin(Twin):

@@ -4,15 +4,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import qr
 
+from servogen.derive.ideal import dependent_columns
+from servogen.derive.servo import constraint_rows
 from servogen.plan.solver import plan_solver
 from servogen.results import Control, FloatArray, Info, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.scene.solver import EPSILON, Scalar, Solver
 from servogen.scene.symbols import chains
 from servogen.twins import textbook_solver
-from servogen.twins.interface import ControlsTwin, ServoTwin, Twin, finite, refusal
+from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, finite, refusal
 
 _PROJECTION_CAP = 50
 _WITHOUT_MASS = {"psi", "phi", "A"}
@@ -23,14 +26,15 @@ def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
 
     For float32, inputs, parameters and results are rounded to it; the computation itself stays in float64.
     """
-    return (ReferenceServo if scene.kind == "servo" else ReferenceControls)(scene, scalar)
+    kinds = {"servo": ReferenceServo, "ideal": ReferenceIdeal, "controls": ReferenceControls}
+    return kinds[scene.kind](scene, scalar)
 
 
 class ReferenceTwin(Twin):
     """A scene's textbook formulas behind the interface of a twin."""
 
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
-        self._plan = plan_solver(scene.rows, scene.controls, scalar, scene.solver)
+        self._plan = plan_solver(*scene.system_shape, scalar, scene.solver)
         self._function, self._names = _jacobians(scene)
         self._mass = _mass_of_parameters(scene)
         super().__init__(scene, scalar)
@@ -58,8 +62,7 @@ class ReferenceTwin(Twin):
         rounded = {n: self._round(v) for n, v in inputs.items()}
         if not finite(v for n, v in rounded.items() if n in self._names["used"]):
             return Status.NONFINITE, {}
-        values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
-        given = {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}
+        given = self.parts(inputs)
         if names and set(names) <= _WITHOUT_MASS:
             result = {n: given["A" if n == "A" else "psi"] for n in names}
         elif _singular(given["Q"], EPSILON[self.scalar]):
@@ -72,12 +75,20 @@ class ReferenceTwin(Twin):
             return Status.OVERFLOW, {}
         return Status.OK, result
 
+    def parts(self, inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """What the formulas are made of: psi, J, X, the prescribed rate, Q, P, G, y, and the weight if there is one."""
+        rounded = {n: self._round(v) for n, v in inputs.items()}
+        values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
+        return {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}
+
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         raise NotImplementedError
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         status, result = self.system(inputs, name)
-        shape = (self.scene.rows, self.scene.controls) if name in "SA" else (self.scene.rows,)
+        n = self.scene.mechanism.u.size1()
+        shapes = dict.fromkeys("SA", self.scene.system_shape) | {"T": (n, n), "F": (n,), "R": (n,)}
+        shape = shapes.get(name, (self.scene.rows,))
         return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
@@ -85,13 +96,28 @@ class ReferenceTwin(Twin):
         return inverse.astype(self.dtype), info
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        matrix, right = ("S", "z") if self.scene.kind == "servo" else ("A", "B")
-        status, result = self.system(inputs, matrix, right, "y")
+        matrix, right = {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
+        weight = () if self.scene.weight is None else ("weight",)
+        status, result = self.system(inputs, matrix, right, "y", *weight)
         if status < 0:
             return Control(last, refusal(status))
-        S = result[matrix].reshape(self.scene.rows, self.scene.controls)
-        tau, info = textbook_solver.solve(S, result[right].ravel(), result["y"].ravel(), self._plan, last)
+        S = result[matrix].reshape(self.scene.system_shape)
+        y = result["y"].ravel()
+        if "weight" not in result:
+            tau, info = textbook_solver.solve(S, result[right].ravel(), y, self._plan, last)
+        else:
+            tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
         return Control(np.asarray(tau).astype(self.dtype), info)
+
+    def _weighted(
+        self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, Info]:
+        """y + W^-1/2 (S W^-1/2)+ (z - S y), which is y + W^-1 S^T (S W^-1 S^T)+ (z - S y): by W's eigenvectors."""
+        values, vectors = np.linalg.eigh(W)
+        root = (vectors * np.sqrt(values)) @ vectors.T
+        inverse = (vectors / np.sqrt(values)) @ vectors.T
+        sigma, info = textbook_solver.solve(S @ inverse, z, root @ y, self._plan)
+        return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
 class ReferenceServo(ReferenceTwin, ServoTwin):
@@ -102,7 +128,69 @@ class ReferenceServo(ReferenceTwin, ServoTwin):
         S = J @ np.linalg.solve(Q, given["G"])
         z = -J @ np.linalg.solve(Q, given["P"]) - given["X"] + given["prescribed"]
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y}
+        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | _weight(given)
+
+
+class ReferenceIdeal(ReferenceTwin, IdealTwin):
+    """R = Q T^-1 F - P by the nonminimal form T u' = F, Eqs. (13)-(17), (26); u_D chosen at each state."""
+
+    def __init__(self, scene: Scene, scalar: Scalar) -> None:
+        self._reaction = plan_solver(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
+        self._dependent = dependent_columns(scene, constraint_rows(scene)[1])
+        super().__init__(scene, scalar)
+
+    def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        J, Q, P = given["J"], given["Q"], given["P"].ravel()
+        b = (given["prescribed"] - given["X"]).ravel()
+        inertia = J @ np.linalg.solve(Q, J.T)
+        _, info = textbook_solver.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
+        R = np.zeros(len(P))
+        if info.rank > 0:
+            rows, right = _independent_rows(J, b, info.rank)
+            chosen = tuple(sorted(qr(rows, pivoting=True, mode="r")[1][: info.rank]))
+            T, F = nonminimal_form(Q, P, rows, right, chosen)
+            R = Q @ np.linalg.solve(T, F) - P
+        y = inputs["y"] if "y" in inputs else given["y"]
+        status = np.array([float(info.status)])
+        return {"psi": given["psi"].ravel(), "G": given["G"], "R": R, "y": y, "reaction": status} | _weight(given)
+
+    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
+        if name not in ("T", "F"):
+            return super()._evaluate(name, inputs)
+        given = self.parts(inputs)
+        b = (given["prescribed"] - given["X"]).ravel()
+        T, F = nonminimal_form(given["Q"], given["P"].ravel(), given["J"], b, self._dependent)
+        return (T if name == "T" else F).astype(self.dtype)
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+        status, result = self.system(inputs)
+        answer = super()._control(entry, inputs, last, dt)
+        if status < 0 or answer.info.status < 0:
+            return answer
+        reaction = Status(int(result["reaction"][0]))
+        if reaction < 0:
+            return Control(last, refusal(reaction))
+        return Control(answer.value, _with_status(answer.info, max(reaction, answer.info.status)))
+
+
+def nonminimal_form(
+    Q: FloatArray, P: FloatArray, J: FloatArray, b: FloatArray, dependent: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """T (n, n) and F (n,) of T u' = F for constraint rows J u' = b, Eqs. (15), (26)."""
+    n = len(Q)
+    independent = [j for j in range(n) if j not in dependent]
+    Z = np.zeros((n, len(independent)))
+    Z[independent, range(len(independent))] = 1.0
+    Z[list(dependent)] = -np.linalg.solve(J[:, list(dependent)], J[:, independent])
+    return np.vstack([Z.T @ Q, J]), np.concatenate([Z.T @ P, b])
+
+
+def _independent_rows(J: FloatArray, b: FloatArray, rank: int) -> tuple[FloatArray, FloatArray]:
+    """As many rows as the rank, with the same solutions as J u' = b in the least-squares sense."""
+    if rank == len(J):
+        return J, b
+    left, sigma, right = np.linalg.svd(J, full_matrices=False)
+    return right[:rank], (left.T @ b)[:rank] / sigma[:rank]
 
 
 class ReferenceControls(ReferenceTwin, ControlsTwin):
@@ -112,7 +200,7 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         u_dot = np.linalg.solve(given["Q"], given["P"] + given["G"] @ inputs["tau"].reshape(-1, 1))
         B = given["prescribed"] - given["X"] - given["J"] @ u_dot
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y}
+        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | _weight(given)
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
         if entry == "control":
@@ -151,6 +239,10 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         return Control(last, refusal(Status.NOT_CONVERGED))
 
 
+def _weight(given: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    return {"weight": given["weight"]} if "weight" in given else {}
+
+
 def _with_status(info: Info, status: Status) -> Info:
     return Info(status, info.path, info.rank, info.sweeps, info.sigma_min, info.residual)
 
@@ -186,6 +278,8 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
     parts |= {"Q": mech.Q, "P": mech.P, "G": mech.G}
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
+    if scene.weight is not None:
+        parts["weight"] = scene.weight
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
     used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
     names = {"in": [f.name for f in fields], "out": list(parts), "used": used}

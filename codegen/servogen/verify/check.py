@@ -225,9 +225,10 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     truth = case.truth
     twin = reference(case.scene, case.scalar)
     worst: dict[str, float] = {}
-    answer = "tau" if case.scene.kind == "servo" else "tau_dot"
+    answer = "tau_dot" if case.scene.kind == "controls" else "tau"
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
-    wanted = {name: vectors[name, name] for name in (case.package.module.entry_points[0].name, *truth.control.system)}
+    names = (case.package.module.entry_points[0].name, *truth.control.system)
+    wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
         status, result = twin.system(inputs)
@@ -270,16 +271,16 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
     steps.next(f"{case.scene.name} {case.scalar}: exact solutions, {compiler}")
     twin = case.package.load(compiler)
     assert isinstance(twin, CompiledTwin)
-    matrix, right = case.truth.control.system
     worst, solved = 0.0, 0
     for k in range(case.truth.drawn):
         inputs = {name: values[k] for name, values in case.truth.inputs.items()}
-        status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
+        status, S, z = _system(case, twin, k, inputs)
         answer = twin.control(**inputs)
         inexact = answer.info.status in (Status.REGULARISED, Status.RANK_DEFICIENT_INCONSISTENT)
         if status < 0 or answer.info.status < 0 or answer.info.rank < min(S.shape) or inexact:
             continue
-        worst = max(worst, _solve_error(S, z, _free_vector(case, k), answer.value, EPSILON[case.scalar]))
+        recover = _recover(case, k)
+        worst = max(worst, _solve_error(S, z, _free_vector(case, k), answer.value, EPSILON[case.scalar], recover))
         solved += 1
     return SolveCheck(case.scene.name, case.scalar, compiler, solved, worst)
 
@@ -288,18 +289,49 @@ def _free_vector(case: _Case, k: int) -> FloatArray:
     """y as the scalar's own arithmetic gives it."""
     y = case.truth.control.y
     if y == "expression":
-        return case.truth.points[k].rounded["y"]
+        return case.truth.points[k].rounded[case.truth.control.free]
     return np.asarray(case.truth.inputs["y"][k]) if y == "input" else np.zeros(case.scene.controls)
 
 
-def _solve_error(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float) -> float:
-    """|tau - exact| / (u kappa(S) (|tau| + |y|))."""
+def _system(
+    case: _Case, twin: CompiledTwin, k: int, inputs: dict[str, FloatArray]
+) -> tuple[Status, FloatArray, FloatArray]:
+    """The system the solver gets: the code's own words for it, and by the scalar's own arithmetic what has no entry."""
+    control = case.truth.control
+    matrix, right = control.system
+    if control.matrix == matrix and control.reaction is None:
+        status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
+        return status, S, z
+    status, (z,) = twin.evaluate(right, inputs)
+    return status, case.truth.points[k].rounded[control.matrix].reshape(case.scene.system_shape), z
+
+
+def _recover(case: _Case, k: int) -> FloatArray | None:
+    """L^-T of a weight by the scalar's own arithmetic."""
+    pattern = case.truth.control.recover
+    if not pattern:
+        return None
+    entries = case.truth.points[k].rounded["recover"]
+    N = np.zeros((len(pattern), len(pattern)))
+    for i, row in enumerate(pattern):
+        for e, j in row:
+            N[i, j] = entries[e]
+    return N
+
+
+def _solve_error(
+    S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float, recover: FloatArray | None = None
+) -> float:
+    """|tau - exact| / (u kappa(S) (|tau| + |y|)); with a weight times |L^-T|, sigma and L^T y for tau and y."""
     matrix = exact.rational(S)
     truth = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(z), exact.rational(y))
+    reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))
+    if recover is not None:
+        truth = exact.rational(recover) * truth
+        reach *= float(np.linalg.norm(recover))
     error = float(np.linalg.norm(exact.difference(tau, truth)))
     if error == 0.0:
         return 0.0
-    reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))
     sigma = np.linalg.svd(np.asarray(S, dtype=float), compute_uv=False)
     return error / (epsilon * float(sigma[0] / sigma[-1]) * reach)
 

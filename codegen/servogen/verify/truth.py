@@ -19,6 +19,7 @@ from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.for_scene import optimise_formulation
 from servogen.plan.module import Module
+from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Status
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
@@ -88,6 +89,7 @@ class Truth:
         self.problems: list[str] = []
         self.finite = np.array([self._inputs_finite(k) for k in range(self.count)])
         self.points = self._points(self.inputs)
+        self.reactions = [self._reaction(k) for k in range(self.count)] if self.control.reaction else []
         self.answers = [self._answer(k) for k in range(self.count)]
 
     def _inputs_finite(self, k: int) -> bool:
@@ -148,79 +150,107 @@ class Truth:
 
     def _answer(self, k: int) -> Answer:
         """control at state k."""
-        matrix, right = self.control.system
-        names = (matrix, right, "y") if self.control.y == "expression" else (matrix, right)
-        needs_mass = bool(self.control.kernel.guards)
-        return self._solved(k, self.points[k], matrix, right, self._evaluated(k, names, needs_mass), self._free(k))
+        control, point = self.control, self.points[k]
+        results = tuple(r.name for r in control.kernel.results)
+        status = self._evaluated(k, results, bool(control.kernel.guards))
+        if control.reaction is None:
+            return self._unweighted(
+                point, self._solved(point, control.matrix, control.system[1], status, self._free(k))
+            )
+        reaction = self.reactions[k]
+        status = (
+            status if status < 0 else Status.OK if reaction.status == ANY_ANSWER else Status(min(0, reaction.status))
+        )
+        if status < 0 or not np.isfinite(reaction.tolerance):
+            unknown = status if status < 0 else ANY_ANSWER
+            return Answer([mp.mpf(0)] * self.solver.l, np.inf, unknown, ANY_RANK)
+        R = np.array([float(v) for v in reaction.tau]).astype(self.dtype)
+        limits = np.full(len(R), reaction.tolerance)
+        with_R = Point(
+            point.values | {"R": reaction.tau}, point.bounds | {"R": limits}, point.rounded | {"R": R}, status
+        )
+        answer = self._unweighted(point, self._solved(with_R, control.matrix, "R", status, self._free(k)))
+        if 0 < answer.status <= Status.RANK_DEFICIENT_INCONSISTENT and np.any(R):
+            return Answer(answer.tau, answer.tolerance, ANY_ANSWER, answer.rank)  # R's own errors decide consistency
+        both = ANY_ANSWER in (answer.status, reaction.status) and answer.status >= 0
+        status_of_both = (
+            ANY_ANSWER if both else max(answer.status, reaction.status) if answer.status >= 0 else answer.status
+        )
+        return Answer(answer.tau, answer.tolerance, status_of_both, answer.rank)
+
+    def _reaction(self, k: int) -> Answer:
+        """R of ideal control forces at state k."""
+        reaction, point = self.control.reaction, self.points[k]
+        assert reaction is not None
+        n, m = reaction.size, reaction.solver.m
+        status = self._evaluated(k, tuple(r.name for r in reaction.kernel.results), bool(reaction.kernel.guards))
+        force = self._solved(point, "reaction_matrix", "reaction_right", status, None, reaction.solver)
+        if force.status < 0 or not np.isfinite(force.tolerance):
+            return Answer([mp.mpf(0)] * n, np.inf, force.status if force.status < 0 else ANY_ANSWER, force.rank)
+        with mp.workdps(DIGITS):
+            J = [point.values["J"][n * i : n * (i + 1)] for i in range(m)]
+            R = [mp.fsum(J[i][c] * force.tau[i] for i in range(m)) for c in range(n)]
+        size, reach = _norm(point.values["J"]), _norm(force.tau)
+        tolerance = size * force.tolerance + _norm(point.bounds["J"]) * reach
+        tolerance += (m + 1) * self.solver.epsilon * size * reach + m * float(np.finfo(self.scalar).smallest_subnormal)
+        return Answer(R, tolerance, force.status, force.rank)
+
+    def _unweighted(self, point: Point, sigma: Answer) -> Answer:
+        """tau = L^-T sigma where there is a weight."""
+        pattern = self.control.recover
+        if not pattern or sigma.status < 0:
+            return sigma
+        entries = point.values["recover"]
+        with mp.workdps(DIGITS):
+            tau = [mp.fsum(entries[e] * sigma.tau[j] for e, j in row) for row in pattern]
+        size, reach = _norm(entries), _norm(sigma.tau)
+        tolerance = (
+            size * sigma.tolerance + _norm(point.bounds["recover"]) * reach if sigma.tolerance < np.inf else np.inf
+        )
+        tolerance += (len(pattern) + 1) * self.solver.epsilon * size * reach
+        return Answer(tau, tolerance, sigma.status, sigma.rank)
 
     def _free(self, k: int) -> str | FloatArray | None:
         if self.control.y == "input":
             return np.asarray(self.inputs["y"][k])
-        return "y" if self.control.y == "expression" else None
+        return self.control.free if self.control.y == "expression" else None
 
     def _solved(
-        self, k: int, point: Point, matrix: str, right: str, status: Status, free: str | FloatArray | None
+        self,
+        point: Point,
+        matrix: str,
+        right: str,
+        status: Status,
+        free: str | FloatArray | None,
+        solver: SolverPlan | None = None,
     ) -> Answer:
-        l = self.solver.l
+        """What a solve gives for the system (matrix, right) at a point; free: y, or its name among the quantities."""
+        solver = solver or self.solver
+        l = solver.l
         if status < 0:
             return Answer([mp.mpf(0)] * l, np.inf, status, 0)
         S, z = point.rounded[matrix].reshape(-1, l), point.rounded[right]
-        y_rounded = point.rounded["y"] if isinstance(free, str) else np.zeros(l) if free is None else free
-        _, info = textbook_solver.solve(S, z, y_rounded, self.solver)
+        y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
+        _, info = textbook_solver.solve(S, z, y_rounded, solver)
         if info.status < 0:
             return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
-        y = point.values["y"] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
+        y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
         if info.rank == 0:
-            error = _norm(point.bounds["y"]) if isinstance(free, str) else 0.0
+            error = _norm(point.bounds[free]) if isinstance(free, str) else 0.0
             return Answer(y, error, info.status, 0)
-        if info.rank < min(self.solver.m, l) or info.status == Status.REGULARISED:
-            return self._truncated(point, matrix, right, y_rounded, info)
-        tau, tolerance = self._full_rank(point, matrix, right, y, isinstance(free, str))
+        if info.rank < min(solver.m, l) or info.status == Status.REGULARISED:
+            return _truncated(point, matrix, right, y_rounded, info, solver)
+        y_error = _norm(point.bounds[free]) if isinstance(free, str) else 0.0
+        tau, tolerance = _full_rank(point, matrix, right, y, y_error, solver)
         return Answer(tau, tolerance, info.status if np.isfinite(tolerance) else ANY_ANSWER, info.rank)
-
-    def _truncated(self, point: Point, matrix: str, right: str, y: FloatArray, info: Info) -> Answer:
-        """tau of a system below full rank or damped: that of the SVD at 50 digits of the scalar's own S, z and y.
-
-        The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
-        """
-        m, l = self.solver.m, self.solver.l
-        tau, kappa = pseudo_solution(
-            point.rounded[matrix].reshape(m, l), point.rounded[right], y, info.rank, self.solver.damping
-        )
-        reach = _norm(tau) + _norm(y)
-        residual = _norm(point.rounded[right] - point.rounded[matrix].reshape(m, l) @ np.array([float(v) for v in tau]))
-        size = _norm(point.rounded[matrix])
-        carried = kappa * residual / size if size > 0 else 0.0
-        tolerance = BAR * self.solver.epsilon * kappa * (reach + carried)
-        return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
-
-    def _full_rank(self, point: Point, matrix: str, right: str, y: Exact, y_computed: bool) -> tuple[Exact, float]:
-        """tau to 50 digits, and the 2-norm by which the code may miss it."""
-        m, l = self.solver.m, self.solver.l
-        if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
-            return y, np.inf
-        S = _rational(point.values[matrix], m, l)
-        inverse = exact.pinv_full(S)
-        tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
-        sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
-        S_error, z_error = _norm(point.bounds[matrix]), _norm(point.bounds[right])
-        sigma = np.linalg.svd(sizes, compute_uv=False)
-        reach = _norm(exact.nearest(tau)) + _norm(y)
-        if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
-            return y, np.inf
-        solver = BAR * self.solver.epsilon * sigma[0] / sigma[-1] * reach
-        rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
-        residual = _norm(exact.nearest(rest))
-        carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
-        own = 2 * _norm(point.bounds["y"]) if y_computed else 0.0
-        smallest = l * float(np.finfo(self.scalar).smallest_subnormal)
-        return _values(tau), float(solver + carried + own + smallest)
 
     def vector_set(self) -> VectorSet:
         """Test vectors of every entry point, for the harness."""
         fields = tuple((f.name, f.size) for f in self.module.inputs)
         entries = [self._entry_vectors(e.name, tuple(r.name for r in e.kernel.results), bool(e.kernel.guards))
                    for e in self.module.entry_points]  # fmt: skip
+        if self.control.reaction is not None:
+            entries.append(self._reaction_vectors())
         entries += [self._pinv_vectors(), self._control_vectors("control", self.answers)]
         if self.control.projection_cap == 1:
             projected, stepped = self._projections()
@@ -253,13 +283,13 @@ class Truth:
     def _pinv_vectors(self) -> EntryVectors:
         """S+ of the matrices the scalar's own evaluation gives, against exact rationals."""
         m, l = self.solver.m, self.solver.l
-        matrix = self.control.system[0]
+        matrix = self.control.matrix
         matrices = np.stack([p.rounded[matrix] for p in self.points]).astype(self.dtype)
         values, tolerance, status, rank = [], [], [], []
         for flat in matrices:
             S = flat.reshape(m, l).astype(float)
-            given, info = textbook_solver.pinv(S, self.solver)
-            truth, kappa = self._pseudo_inverse(S, info) if info.status >= 0 else (given, 1.0)
+            refused, info = textbook_solver.pinv(S, self.solver)
+            truth, kappa = self._pseudo_inverse(S, info) if info.status >= 0 else (refused, 1.0)
             size = _norm(truth)
             limit = BAR * self.solver.epsilon * kappa * size + float(np.finfo(self.scalar).smallest_subnormal)
             values.append(truth.ravel())
@@ -270,7 +300,7 @@ class Truth:
         drawn = stacked[: self.drawn]
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
-        output = OutputVectors.of(f"{matrix}_pinv", expected, limits, scale, self.scalar)
+        output = OutputVectors.of(f"{self.control.system[0]}_pinv", expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
@@ -290,12 +320,22 @@ class Truth:
         tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
         known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
         expected, limits = _comparable(values, tolerance, self.scalar)
-        name = "tau" if self.scene.kind == "servo" or entry != "control" else "tau_dot"
+        name = "tau_dot" if self.scene.kind == "controls" and entry == "control" else "tau"
         output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
         status = np.array([a.status for a in answers])
         rank = np.array([a.rank if a.status != ANY_ANSWER else ANY_RANK for a in answers])
         call: Any = entry
         return EntryVectors(entry, call, (output,), status, rank, dt, domain=self.drawn)
+
+    def _reaction_vectors(self) -> EntryVectors:
+        """R of ideal control forces, against J^T times the exact forces of constraint."""
+        values = np.array([a.tau for a in self.reactions], dtype=object)
+        tolerance = np.stack([np.full(len(a.tau), a.tolerance) for a in self.reactions])
+        drawn = self.reactions[: self.drawn]
+        known = [abs(float(v)) for a in drawn if np.isfinite(a.tolerance) for v in a.tau]
+        expected, limits = _comparable(values, tolerance, self.scalar)
+        output = OutputVectors.of("R", expected, limits, max(known, default=0.0), self.scalar)
+        return EntryVectors("R", "plain", (output,), np.array([a.status for a in self.reactions]), domain=self.drawn)
 
     def _projections(self) -> tuple[list[Answer], list[Answer]]:
         """Expected answers of project and step where phi is affine in tau: A, and so the projection, is exact."""
@@ -326,13 +366,51 @@ class Truth:
             return Answer([mp.mpf(0)] * l, np.inf, status, 0)
         values = point.values | {"phi": [-v for v in point.values["phi"]]}
         rounded = point.rounded | {"phi": -point.rounded["phi"]}
-        move = self._solved(k, Point(values, point.bounds, rounded, point.status), "A", "phi", status, None)
+        move = self._solved(Point(values, point.bounds, rounded, point.status), "A", "phi", status, None)
         start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in tau]
         with mp.workdps(DIGITS):
             answer = [a + b for a, b in zip(start, move.tau, strict=True)]
         size = _norm(start) + _norm(move.tau)
         tolerance = move.tolerance + self.solver.epsilon * size + 2 * carried
         return Answer(answer, tolerance, move.status, move.rank)
+
+
+def _full_rank(
+    point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: SolverPlan
+) -> tuple[Exact, float]:
+    """tau to 50 digits, and the 2-norm by which the code may miss it."""
+    m, l = solver.m, solver.l
+    if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
+        return y, np.inf
+    S = _rational(point.values[matrix], m, l)
+    inverse = exact.pinv_full(S)
+    tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
+    sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
+    S_error, z_error = _norm(point.bounds[matrix]), _norm(point.bounds[right])
+    sigma = np.linalg.svd(sizes, compute_uv=False)
+    reach = _norm(exact.nearest(tau)) + _norm(y)
+    if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
+        return y, np.inf
+    rounding = BAR * solver.epsilon * sigma[0] / sigma[-1] * reach
+    rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
+    residual = _norm(exact.nearest(rest))
+    carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
+    smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
+    return _values(tau), float(rounding + carried + 2 * y_error + smallest)
+
+
+def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: SolverPlan) -> Answer:
+    """tau of a system below full rank or damped: that of the SVD at 50 digits of the scalar's own S, z and y.
+
+    The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
+    """
+    S, z = point.rounded[matrix].reshape(solver.m, solver.l), point.rounded[right]
+    tau, kappa = pseudo_solution(S, z, y, info.rank, solver.damping)
+    residual = _norm(z - S @ np.array([float(v) for v in tau]))
+    size = _norm(S)
+    carried = kappa * residual / size if size > 0 else 0.0
+    tolerance = BAR * solver.epsilon * kappa * (_norm(tau) + _norm(y) + carried)
+    return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
 
 
 def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:

@@ -25,7 +25,7 @@ enum {
 
 /* How the answer was found. */
 enum {
-    DOUBLE_PENDULUM_ENERGY_PATH_PRECOMPUTED = 0, /* S does not depend on the state: its pseudo-inverse was made by prepare */
+    DOUBLE_PENDULUM_ENERGY_PATH_PRECOMPUTED = 0, /* S does not depend on the state: its pseudo-inverse was made at generation, or by prepare */
     DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM = 1, /* one row or one column */
     DOUBLE_PENDULUM_ENERGY_PATH_NORMAL = 2, /* normal equations, certified and refined */
     DOUBLE_PENDULUM_ENERGY_PATH_QR = 3, /* pivoted QR, certified and refined */

@@ -25,7 +25,7 @@ enum {
 
 /* How the answer was found. */
 enum {
-    SPACECRAFT_SMOOTH_PATH_PRECOMPUTED = 0, /* S does not depend on the state: its pseudo-inverse was made by prepare */
+    SPACECRAFT_SMOOTH_PATH_PRECOMPUTED = 0, /* S does not depend on the state: its pseudo-inverse was made at generation, or by prepare */
     SPACECRAFT_SMOOTH_PATH_CLOSED_FORM = 1, /* one row or one column */
     SPACECRAFT_SMOOTH_PATH_NORMAL = 2, /* normal equations, certified and refined */
     SPACECRAFT_SMOOTH_PATH_QR = 3, /* pivoted QR, certified and refined */

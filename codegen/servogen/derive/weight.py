@@ -1,0 +1,90 @@
+"""The weight W of the minimum: what turns (tau - y)^T W (tau - y) into a plain sum of squares."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servogen.derive.formulation import Weight
+from servogen.derive.mass import is_symmetric, sample
+from servogen.errors import SceneError
+from servogen.scene.scene import Scene
+
+
+def weigh(scene: Scene) -> Weight | None:
+    """The factor of the scene's weight, or None. SceneError unless symmetric by proof and positive definite."""
+    W = scene.weight
+    if W is None or _is_identity(W):
+        return None
+    if not is_symmetric(scene, W):
+        raise SceneError("weight is not symmetric by proof; write W[j, i] as the same expression as W[i, j]")
+    for value in sample(scene, W):
+        if np.all(np.isfinite(value)) and not _positive_definite(value):
+            raise SceneError(
+                "weight is not positive definite over the domain: its smallest eigenvalue is "
+                f"{np.min(np.linalg.eigvalsh(value)):.6g} at a state of it; add a positive diagonal, or narrow it"
+            )
+    L = _cholesky(W)
+    N = _inverse_transpose(L)
+    entries, pattern = _nonzeros(N)
+    diagonal = len(entries) == W.size1()
+    reason = "weight: diagonal, one factor a control" if diagonal else "weight: one Cholesky factor, no inverse of W"
+    return Weight(L, N, ca.vertcat(*entries), pattern, reason)
+
+
+def _is_identity(W: Any) -> bool:
+    l = W.size1()
+    return all(W[i, j].is_one() if i == j else W[i, j].is_zero() for i in range(l) for j in range(l))
+
+
+def _positive_definite(value: Any) -> bool:
+    """Rows and columns scaled to a unit diagonal first, so that units do not look like indefiniteness."""
+    diagonal = np.diag(value)
+    if np.any(diagonal <= 0):
+        return False
+    root = np.sqrt(diagonal)
+    smallest = np.min(np.linalg.eigvalsh(value / np.outer(root, root)))
+    return bool(smallest > len(value) * np.finfo(float).eps)
+
+
+def _cholesky(W: Any) -> Any:
+    """L, lower triangular, with L L^T = W; structural zeros stay zeros."""
+    l = W.size1()
+    L = ca.SX(l, l)
+    for j in range(l):
+        pivot = W[j, j] - sum((L[j, k] ** 2 for k in range(j) if not L[j, k].is_zero()), ca.SX(0))
+        L[j, j] = ca.sqrt(pivot)
+        for i in range(j + 1, l):
+            products = [L[i, k] * L[j, k] for k in range(j) if not (L[i, k].is_zero() or L[j, k].is_zero())]
+            entry = W[i, j] - sum(products, ca.SX(0))
+            if not entry.is_zero():
+                L[i, j] = entry / L[j, j]
+    return ca.sparsify(L)
+
+
+def _inverse_transpose(L: Any) -> Any:
+    """L^-T, upper triangular, by substitution."""
+    l = L.size1()
+    inverse = ca.SX(l, l)  # L^-1, column by column
+    for j in range(l):
+        inverse[j, j] = 1 / L[j, j]
+        for i in range(j + 1, l):
+            products = [
+                L[i, k] * inverse[k, j] for k in range(j, i) if not (L[i, k].is_zero() or inverse[k, j].is_zero())
+            ]
+            if products:
+                inverse[i, j] = -sum(products, ca.SX(0)) / L[i, i]
+    return ca.sparsify(inverse).T
+
+
+def _nonzeros(N: Any) -> tuple[list[Any], tuple[tuple[tuple[int, int], ...], ...]]:
+    entries: list[Any] = []
+    pattern = []
+    for i in range(N.size1()):
+        row = []
+        for j in range(N.size2()):
+            if not N[i, j].is_zero():
+                row.append((len(entries), j))
+                entries.append(N[i, j])
+        pattern.append(tuple(row))
+    return entries, tuple(pattern)

@@ -1,0 +1,54 @@
+"""A matrix that no state changes: its pseudo-inverse is computed at generation, or in prepare."""
+
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+
+from servogen.ir.program import Program
+from servogen.plan.module import Kernel, Known, Result
+from servogen.plan.solver import Operations, SolverPlan
+from servogen.plan.stage import Staged, cut
+from servogen.results import Status
+from servogen.twins import textbook_solver
+from servogen.verify import exact
+
+
+def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | None:
+    """How the matrix `result` of the tick is known before it; None where the state decides it."""
+    part = cut(staged.tick, result.name, (result.name,))
+    kinds = {i.name: i.kind for i in part.inputs}
+    leaves = {kinds[i.const[0]] for i in part.instrs if isinstance(i.const, tuple)}
+    if "input" in leaves:
+        return None
+    constants = [part.instrs[n].const for n in part.output(result.name).nodes]
+    if all(isinstance(c, Fraction) for c in constants):
+        return _at_generation(constants, solver)
+    return Known("prepare", kernel=Kernel(f"known_{result.name}", _renamed(part, f"known_{result.name}"), (result,)))
+
+
+def known_operations(solver: SolverPlan, free: bool) -> dict[str, Operations]:
+    """Floating-point operations of tau = y + S+ (z - S y) with S+ at hand; free: whether there is a y."""
+    m, l = solver.m, solver.l
+    add, mul = l * (m - 1) + free * (m * l + l), l * m * (1 + free)
+    return {"apply": {"total": add + mul, "add": add, "mul": mul, "div": 0, "sqrt": 0}}
+
+
+def _renamed(program: Program, name: str) -> Program:
+    return Program(name, program.inputs, program.instrs, program.outputs)
+
+
+def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
+    """Exact rationals, unless the solver's tolerances or damping ask for another answer than the exact one."""
+    m, l = solver.m, solver.l
+    matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
+    values = exact.nearest(matrix)
+    inverse, info = textbook_solver.pinv(values, solver)
+    if info.rank == exact.rank(matrix) and info.status != Status.REGULARISED:
+        entries = exact.pinv(matrix)
+        numbers = [Fraction(int(q.p), int(q.q)) for q in (entries[i, j] for i in range(l) for j in range(m))]
+    else:
+        numbers = [Fraction(float(x)) for x in inverse.ravel()]
+    sigma_min = float(np.linalg.svd(values, compute_uv=False)[-1])
+    return Known("generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)

@@ -1,0 +1,176 @@
+"""The paper's Figures 2-21, redrawn from closed loops of generated C and laid out like them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Canvas
+
+from servogen.results import FloatArray
+from servogen.scene.loading import load_simulation
+from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.trajectory import Trajectory
+
+SCENES = (
+    "double_pendulum_energy_free_y",
+    "double_pendulum_energy",
+    "double_pendulum_ideal",
+    "spacecraft",
+    "spacecraft_smooth",
+)
+"""The scenes the figures are of."""
+
+Curve = tuple[FloatArray, FloatArray, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One figure of the paper: its number, the axis' label, and the curves (t, value, name)."""
+
+    number: int
+    label: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """Some figures on one page: the file without its ending, columns, and what they reproduce."""
+
+    stem: str
+    columns: int
+    panels: tuple[Panel, ...]
+    caption: str
+
+
+def draw_paper(folder: Path, run: Callable[[str], Trajectory] | None = None) -> tuple[tuple[Path, str], ...]:
+    """(PNG, caption) of each sheet, written to `folder` beside an SVG. run: scene's name -> its trajectory."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {name: (run or _run)(name) for name in SCENES}
+    return tuple((_draw(sheet, folder), sheet.caption) for sheet in sheets(found))
+
+
+def _run(name: str) -> Trajectory:
+    return ClosedLoop(*load_simulation(name)).run()
+
+
+def sheets(runs: dict[str, Trajectory]) -> tuple[Sheet, ...]:
+    """The sheets, from one run of each of SCENES."""
+    return _pendulum(runs), _chatter(runs["spacecraft"]), _smooth(runs["spacecraft_smooth"])
+
+
+def _pendulum(runs: dict[str, Trajectory]) -> Sheet:
+    free, plain, ideal = (runs[f"double_pendulum_{n}"] for n in ("energy_free_y", "energy", "ideal"))
+    E0 = free.outputs["E"][0]
+    scale = E0 / plain.outputs["E"][0]
+    return Sheet(
+        "paper_figures_2_to_5",
+        2,
+        (
+            Panel(2, "E [J]", (
+                (free.t, free.outputs["E"], "with a y that keeps it moving"),
+                (plain.t, scale * plain.outputs["E"], f"y = 0, scaled, to t* = {plain.stop.t:.2f} s"),
+            )),
+            Panel(3, "configuration parameters [rad]", _columns(ideal, ideal.q, "θ")),
+            Panel(4, "velocity parameters [rad/s]", _columns(ideal, ideal.u, "u")),
+            Panel(5, "ideal control torques [N m]", _columns(ideal, ideal.tau, "τ")),
+        ),
+        "Figures 2 to 5, double pendulum. The paper prints neither masses, lengths nor the start: ours "
+        "are those of the "
+        "scenes' files. Figure 2 reproduces the decay of E as exp(-t); it holds for as long as the "
+        "mechanism keeps moving. "
+        f"Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time (t* = "
+        f"{ideal.stop.t:.2f} s, "
+        "K/E below 1e-3) with potential energy left, and the torques do not vanish with E as the paper "
+        "remarks, but grow as "
+        "1/sqrt(K): G tau = Theta E Q u / (2 K).",
+    )  # fmt: skip
+
+
+def _chatter(run: Trajectory) -> Sheet:
+    K = Panel(6, "K [J]", ((run.t, run.outputs["K"], ""),))
+    return Sheet(
+        "paper_figures_6_to_12",
+        3,
+        (K, *_axes(7, run, run.u, "ω", "rad/s"), *_axes(10, run, run.tau, "τ", "rad/s²")),
+        "Figures 6 to 12, spacecraft with y = 0: K decays as 0.124 exp(-t) while velocities and "
+        "controls chatter with a "
+        f"frequency that grows without bound. Drawn to {run.t[-1]:g} s; later a period is too short for the step. The "
+        "controls are torques over inertia, rad/s², not N m as printed.",
+    )
+
+
+def _smooth(run: Trajectory) -> Sheet:
+    return Sheet(
+        "paper_figures_13_to_21",
+        3,
+        (
+            *_axes(13, run, -run.tau, "y", "rad/s²"),
+            *_axes(16, run, run.u, "ω", "rad/s"),
+            *_axes(19, run, run.tau, "τ", "rad/s²"),
+        ),
+        "Figures 13 to 21, spacecraft with y = -tau: the same decay of K, all curves smooth. The free "
+        "vector y, the angular "
+        "velocities and the controls, axis by axis.",
+    )
+
+
+def _columns(run: Trajectory, values: FloatArray, symbol: str) -> tuple[Curve, ...]:
+    return tuple((run.t, values[:, k], f"${_tex(symbol)}_{k + 1}$") for k in range(values.shape[1]))
+
+
+def _axes(first: int, run: Trajectory, values: FloatArray, symbol: str, unit: str) -> list[Panel]:
+    return [
+        Panel(first + k, f"${_tex(symbol)}_{k + 1}$ [{unit}]", ((run.t, values[:, k], ""),))
+        for k in range(values.shape[1])
+    ]
+
+
+def _tex(symbol: str) -> str:
+    return {"θ": r"\theta", "τ": r"\tau", "ω": r"\omega"}.get(symbol, symbol)
+
+
+def _draw(sheet: Sheet, folder: Path) -> Path:
+    style = {"font.size": 10, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6,
+             "legend.frameon": False,
+             "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "servogen"}  # fmt: skip
+    rows = _rows(sheet)
+    with matplotlib.rc_context(style):
+        canvas = Canvas(figsize=(4.1 * sheet.columns, 2.7 * len(rows)), layout="constrained")
+        FigureCanvasAgg(canvas)
+        grid = canvas.add_gridspec(len(rows), sheet.columns)
+        for r, row in enumerate(rows):
+            for c, panel in enumerate(row):
+                place = grid[r, :] if len(row) == 1 else grid[r, c]
+                _panel(canvas.add_subplot(place), panel)
+        file = folder / f"{sheet.stem}.png"
+        canvas.savefig(file, dpi=150, metadata={"Software": None})
+        canvas.savefig(file.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
+    return file
+
+
+def _rows(sheet: Sheet) -> list[Sequence[Panel]]:
+    """Rows of panels; where they do not fill the last, the first stands alone."""
+    alone = len(sheet.panels) % sheet.columns
+    rows: list[Sequence[Panel]] = [sheet.panels[:1]] if alone else []
+    rest = sheet.panels[1:] if alone else sheet.panels
+    return rows + [rest[k : k + sheet.columns] for k in range(0, len(rest), sheet.columns)]
+
+
+def _panel(axis: Any, panel: Panel) -> None:
+    colours = ("#0072B2", "#D55E00")
+    coincide = panel.number == 2
+    for (t, values, name), colour in zip(panel.curves, colours, strict=False):
+        finite = np.isfinite(values)
+        dashes = (0, (4, 3)) if coincide and colour == colours[1] else "solid"
+        width = 0.7 if len(t) > 20000 else 1.3
+        axis.plot(t[finite], values[finite], color=colour, label=name, linewidth=width, linestyle=dashes)
+    axis.set_title(f"Figure {panel.number}", fontsize=10, loc="left")
+    axis.set_xlabel("t [s]")
+    axis.set_ylabel(panel.label)
+    axis.set_xlim(left=0.0)
+    if any(name for _, _, name in panel.curves):
+        axis.legend(fontsize=9)

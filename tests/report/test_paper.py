@@ -1,0 +1,48 @@
+"""The paper's figures: every number from 2 to 21 once, each curve what it says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servogen.report.paper import SCENES, draw_paper, sheets
+from servogen.scene.loading import load_simulation
+from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, Trajectory]:
+    found = {}
+    for name in SCENES:
+        scene, simulation = load_simulation(name)
+        short = replace(simulation, duration=min(simulation.duration, 3.0))
+        found[name] = ClosedLoop(scene, short).run()
+    return found
+
+
+def test_figures_2_to_21_each_once(runs: dict[str, Trajectory]) -> None:
+    numbers = [panel.number for sheet in sheets(runs) for panel in sheet.panels]
+    assert numbers == list(range(2, 22))
+
+
+def test_curves_are_what_the_paper_shows(runs: dict[str, Trajectory]) -> None:
+    panels = {panel.number: panel for sheet in sheets(runs) for panel in sheet.panels}
+    for t, E, _ in panels[2].curves:
+        assert np.allclose(E, E[0] * np.exp(-t), rtol=1e-5)
+    t, K, _ = panels[6].curves[0]
+    assert np.allclose(K, 0.124 * np.exp(-t), rtol=1e-3)
+    for k in range(3):
+        assert panels[7 + k].curves[0][1][0] == pytest.approx(0.1)
+        assert np.array_equal(panels[13 + k].curves[0][1], -panels[19 + k].curves[0][1])  # y = -tau
+    turns = [np.sum(np.diff(np.sign(np.diff(panels[n].curves[0][1]))) != 0) for n in (7, 16)]
+    assert turns[0] > 3 * turns[1]  # y = 0 chatters, y = -tau does not
+
+
+def test_the_sheets_are_drawn(runs: dict[str, Trajectory], tmp_path: Path) -> None:
+    drawn = draw_paper(tmp_path, runs.__getitem__)
+    assert [file.name for file, _ in drawn] == [
+        "paper_figures_2_to_5.png", "paper_figures_6_to_12.png", "paper_figures_13_to_21.png",
+    ]  # fmt: skip
+    assert all(file.stat().st_size > 20_000 and file.with_suffix(".svg").exists() for file, _ in drawn)
+    assert "neither masses" in drawn[0][1]
