@@ -634,52 +634,6 @@ static int spacecraft_smooth_f32_checked_A_B(const spacecraft_smooth_f32_model *
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
-{
-    const float t0 = model->I_1 * in->tau[0];
-    const float t1 = in->u[0] * model->I_1;
-    const float t2 = model->a * t1;
-    const float t3 = t2 * 0.5f;
-    const float t4 = t0 + t3;
-    const float t5 = in->u[0] * t4;
-    const float t6 = model->I_2 * in->tau[1];
-    const float t7 = in->u[1] * model->I_2;
-    const float t8 = model->a * t7;
-    const float t9 = 0.5f * t8;
-    const float t10 = t6 + t9;
-    const float t11 = in->u[1] * t10;
-    const float t12 = model->I_3 * in->tau[2];
-    const float t13 = in->u[2] * model->I_3;
-    const float t14 = model->a * t13;
-    const float t15 = 0.5f * t14;
-    const float t16 = t12 + t15;
-    const float t17 = in->u[2] * t16;
-    const float t18 = t11 + t17;
-    const float t19 = t5 + t18;
-    /* phi = phi(q, u, tau, t), Eq. (36) */
-    phi[0] = t19;
-    /* A = phi_tau, Eq. (39) */
-    A[0] = t1;
-    A[1] = t7;
-    A[2] = t13;
-}
-
-/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
-static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
-{
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
-    spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_smooth_f32_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    return SPACECRAFT_SMOOTH_F32_OK;
-}
-
 static void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
 {
     const float t0 = model->I_1 * in->tau[0];
@@ -734,6 +688,52 @@ static int spacecraft_smooth_f32_checked_A_B_y(const spacecraft_smooth_f32_model
         return SPACECRAFT_SMOOTH_F32_OVERFLOW;
     }
     if (!spacecraft_smooth_f32_finite(y, 3)) {
+        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+    }
+    return SPACECRAFT_SMOOTH_F32_OK;
+}
+
+static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+{
+    const float t0 = model->I_1 * in->tau[0];
+    const float t1 = in->u[0] * model->I_1;
+    const float t2 = model->a * t1;
+    const float t3 = t2 * 0.5f;
+    const float t4 = t0 + t3;
+    const float t5 = in->u[0] * t4;
+    const float t6 = model->I_2 * in->tau[1];
+    const float t7 = in->u[1] * model->I_2;
+    const float t8 = model->a * t7;
+    const float t9 = 0.5f * t8;
+    const float t10 = t6 + t9;
+    const float t11 = in->u[1] * t10;
+    const float t12 = model->I_3 * in->tau[2];
+    const float t13 = in->u[2] * model->I_3;
+    const float t14 = model->a * t13;
+    const float t15 = 0.5f * t14;
+    const float t16 = t12 + t15;
+    const float t17 = in->u[2] * t16;
+    const float t18 = t11 + t17;
+    const float t19 = t5 + t18;
+    /* phi = phi(q, u, tau, t), Eq. (36) */
+    phi[0] = t19;
+    /* A = phi_tau, Eq. (39) */
+    A[0] = t1;
+    A[1] = t7;
+    A[2] = t13;
+}
+
+/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
+static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+{
+    if (!spacecraft_smooth_f32_input_finite(in)) {
+        return SPACECRAFT_SMOOTH_F32_NONFINITE;
+    }
+    spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
+    if (!spacecraft_smooth_f32_finite(phi, 1)) {
+        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+    }
+    if (!spacecraft_smooth_f32_finite(A, 3)) {
         return SPACECRAFT_SMOOTH_F32_OVERFLOW;
     }
     return SPACECRAFT_SMOOTH_F32_OK;

@@ -634,52 +634,6 @@ static int spacecraft_smooth_checked_A_B(const spacecraft_smooth_model *model, c
     return SPACECRAFT_SMOOTH_OK;
 }
 
-static void spacecraft_smooth_eval_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
-{
-    const double t0 = model->I_1 * in->tau[0];
-    const double t1 = in->u[0] * model->I_1;
-    const double t2 = model->a * t1;
-    const double t3 = t2 * 0.5;
-    const double t4 = t0 + t3;
-    const double t5 = in->u[0] * t4;
-    const double t6 = model->I_2 * in->tau[1];
-    const double t7 = in->u[1] * model->I_2;
-    const double t8 = model->a * t7;
-    const double t9 = 0.5 * t8;
-    const double t10 = t6 + t9;
-    const double t11 = in->u[1] * t10;
-    const double t12 = model->I_3 * in->tau[2];
-    const double t13 = in->u[2] * model->I_3;
-    const double t14 = model->a * t13;
-    const double t15 = 0.5 * t14;
-    const double t16 = t12 + t15;
-    const double t17 = in->u[2] * t16;
-    const double t18 = t11 + t17;
-    const double t19 = t5 + t18;
-    /* phi = phi(q, u, tau, t), Eq. (36) */
-    phi[0] = t19;
-    /* A = phi_tau, Eq. (39) */
-    A[0] = t1;
-    A[1] = t7;
-    A[2] = t13;
-}
-
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
-{
-    if (!spacecraft_smooth_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_NONFINITE;
-    }
-    spacecraft_smooth_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_smooth_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_OVERFLOW;
-    }
-    if (!spacecraft_smooth_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_OVERFLOW;
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
-
 static void spacecraft_smooth_eval_A_B_y(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B, double *y)
 {
     const double t0 = model->I_1 * in->tau[0];
@@ -734,6 +688,52 @@ static int spacecraft_smooth_checked_A_B_y(const spacecraft_smooth_model *model,
         return SPACECRAFT_SMOOTH_OVERFLOW;
     }
     if (!spacecraft_smooth_finite(y, 3)) {
+        return SPACECRAFT_SMOOTH_OVERFLOW;
+    }
+    return SPACECRAFT_SMOOTH_OK;
+}
+
+static void spacecraft_smooth_eval_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
+{
+    const double t0 = model->I_1 * in->tau[0];
+    const double t1 = in->u[0] * model->I_1;
+    const double t2 = model->a * t1;
+    const double t3 = t2 * 0.5;
+    const double t4 = t0 + t3;
+    const double t5 = in->u[0] * t4;
+    const double t6 = model->I_2 * in->tau[1];
+    const double t7 = in->u[1] * model->I_2;
+    const double t8 = model->a * t7;
+    const double t9 = 0.5 * t8;
+    const double t10 = t6 + t9;
+    const double t11 = in->u[1] * t10;
+    const double t12 = model->I_3 * in->tau[2];
+    const double t13 = in->u[2] * model->I_3;
+    const double t14 = model->a * t13;
+    const double t15 = 0.5 * t14;
+    const double t16 = t12 + t15;
+    const double t17 = in->u[2] * t16;
+    const double t18 = t11 + t17;
+    const double t19 = t5 + t18;
+    /* phi = phi(q, u, tau, t), Eq. (36) */
+    phi[0] = t19;
+    /* A = phi_tau, Eq. (39) */
+    A[0] = t1;
+    A[1] = t7;
+    A[2] = t13;
+}
+
+/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
+static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
+{
+    if (!spacecraft_smooth_input_finite(in)) {
+        return SPACECRAFT_SMOOTH_NONFINITE;
+    }
+    spacecraft_smooth_eval_phi_A(model, in, phi, A);
+    if (!spacecraft_smooth_finite(phi, 1)) {
+        return SPACECRAFT_SMOOTH_OVERFLOW;
+    }
+    if (!spacecraft_smooth_finite(A, 3)) {
         return SPACECRAFT_SMOOTH_OVERFLOW;
     }
     return SPACECRAFT_SMOOTH_OK;
