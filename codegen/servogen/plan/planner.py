@@ -173,7 +173,7 @@ def _skipped(
     if early:
         system.append(f"{early} operations of parameters alone: done once, in prepare")
     control = list(system)
-    if solver.kind != "svd":
+    if solver.kind != "full":
         control.append(f"SVD: S is a {solver.kind}, the closed form is exact")
     if scene.y is None:
         control.append("null-space projector: y is absent")
