@@ -120,6 +120,7 @@ class SolverPlan:
     orthogonal: float  # two vectors are left alone when |v w| <= orthogonal |v| |w|
     converged: float  # a sweep that met nothing above converged |v| |w| was the last: above the rounding of v w
     smallest_square: float  # a pivot whose squared length is below counts as zero: far below u^2, safe to divide by
+    lift: float  # the triangle of the SVD is brought to this size: squares of its noise's squares do not underflow
     normal_limit: float  # largest bound ||M(R)^-1||_F^2 of the row-normalised S with which NORMAL is accurate and safe
     normal_floor: float  # a pivot of LDL^T below this part of its diagonal entry cannot meet normal_limit
     normal_rounding: float  # what the rounding of S S^T and of LDL^T takes from sigma_min^2, rows of length 1
@@ -274,6 +275,7 @@ def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str
     qr_margin = rtol + ROUNDING * max(m, l) * u
     return {
         "smallest_square": 2.0**-900 if u < 2.0**-40 else 2.0**-110,
+        "lift": 1.0 if u < 2.0**-40 else 2.0**20,
         "normal_limit": normal_limit,
         "normal_floor": 1 / normal_limit,
         "normal_rounding": rounding,
