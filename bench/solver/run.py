@@ -44,7 +44,9 @@ def build(m, l, scalar, folder, *, callgrind=False, compilers=("gcc", "g++")):
         package = sg.build_solver(m, l, folder / prefix, scalar=scalar, prefix=prefix, solver=sg.Solver(method=method))
         target = folder / f"{prefix}.o"
         source = str(package.path / f"{prefix}.c")
-        subprocess.run([compilers[0], "-std=c99", "-ffp-contract=off", *FLAGS, "-c", source, "-o", str(target)], check=True)
+        subprocess.run(
+            [compilers[0], "-std=c99", "-ffp-contract=off", *FLAGS, "-c", source, "-o", str(target)], check=True
+        )
         objects.append(str(target))
     defines = [f"-DROWS={m}", f"-DCOLUMNS={l}", "-DOURS=ours", "-DFORCED=forced", f'-DOURS_HEADER="{folder}/ours/ours.h"',
                f'-DFORCED_HEADER="{folder}/forced/forced.h"']  # fmt: skip
@@ -92,7 +94,13 @@ def measure(m, l, scalar, kappa, rounds, folder, callgrind):
             run = subprocess.run([*argv, str(counting), str(data), "1", str(index)], capture_output=True, text=True)
             found = re.search(r"Collected : (\d+)", run.stderr)
             results[name]["instructions"] = int(found[1]) / N if found else None
-    return {"shape": f"{m}x{l}", "scalar": scalar, "kappa": kappa, "paths": sorted({int(p) for p in paths}), "results": results}
+    return {
+        "shape": f"{m}x{l}",
+        "scalar": scalar,
+        "kappa": kappa,
+        "paths": sorted({int(p) for p in paths}),
+        "results": results,
+    }
 
 
 def main():

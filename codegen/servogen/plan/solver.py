@@ -180,7 +180,9 @@ class SolverPlan:
 
     def _at(self, index: str) -> str:
         whole = self.long - self.long % BLOCK
-        return index if self.pad == 0 or self.kind != "full" else f"({index} < {whole} ? {index} : {index} + {self.pad})"
+        return (
+            index if self.pad == 0 or self.kind != "full" else f"({index} < {whole} ? {index} : {index} + {self.pad})"
+        )
 
     @property
     def certificate_needs_total(self) -> bool:
@@ -264,7 +266,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
     )
 
 
-def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str, float]:
+def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str, Any]:
     """Limits of the certificates (NUMERICS: Certificate), with margins for the rounding of the bound itself."""
     total = 4 * m * l  # above the squared norm of S with the largest entry of each row in [1, 2)
     rounding = ROUNDING * l * count * u
@@ -286,7 +288,7 @@ def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str
     }
 
 
-def _ranges(scalar: Scalar) -> dict[str, tuple[int, int]]:
+def _ranges(scalar: Scalar) -> dict[str, Any]:
     """Biased exponents within which NORMAL needs no scaling: products that underflow are far below half an ulp."""
     square, low, high = (500, -1000, 900) if scalar == "float64" else (40, -100, 110)
     bias = BITS[scalar].bias
@@ -387,11 +389,17 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
         svd = _sum((plan.sweep_cap, sweep), (n, _dot(stride)), (n, _total(sqrt=2)), (n * stride, _total(div=1)))
     vectors = _sum((n * n, _total(long, long)), (n, _total(mul=long, div=1)))
     decompose = _sum((1, qr), (1, svd), (1, vectors))
-    weigh = _sum((m * n, _total(2 * m, 2 * m)), (n * n, _total(m, m)), (m * n, _total(n, n, 1)), (n, _total(div=1, sqrt=1)))
+    weigh = _sum(
+        (m * n, _total(2 * m, 2 * m)), (n * n, _total(m, m)), (m * n, _total(n, n, 1)), (n, _total(div=1, sqrt=1))
+    )
     runs = 1 + (plan.rank == "scaled" and (not plan.wide or plan.damping is not None))
     apply = _sum((n, _total(m + l, m + l + 1)))
     steps = [(runs, decompose), (2, apply), (2, residual), (1, _total(add=3 * l)), (int(plan.rank == "scaled"), weigh)]
     counts = {"svd": _sum(*steps)}
     if plan.method == "auto":
-        counts = {"normal": normal, "qr": _sum((1, normal), (1, certified)), "svd": _sum((1, normal), (1, certified), *steps)}
+        counts = {
+            "normal": normal,
+            "qr": _sum((1, normal), (1, certified)),
+            "svd": _sum((1, normal), (1, certified), *steps),
+        }
     return counts

@@ -55,6 +55,8 @@ def certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) ->
         defines = [f"-D{key}={value}" for key, value in numbers.items()]
         command = [str(compiler), "-std=gnu99", "-O2", "-ffp-contract=off", *defines, f"-I{folder}", str(SOURCE)]
         subprocess.run([*command, "-o", str(folder / "count"), "-lm"], check=True, capture_output=True)
-        done = subprocess.run([str(folder / "count"), str(systems), str(seed)], check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            [str(folder / "count"), str(systems), str(seed)], check=True, capture_output=True, text=True
+        )
     counts = [int(word) for word in done.stdout.split()]
     return Certificates(m, l, scalar, seed, *counts)

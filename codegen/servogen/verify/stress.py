@@ -408,15 +408,21 @@ def _bidiagonal(m: int, l: int, generator: Generator) -> FloatArray:
 
 
 CLASSICAL: dict[str, Callable[[int, int, Generator], FloatArray]] = {
-    "Hilbert": lambda m, l, g: 1 / (sum(_grid(m, l)) + 1 + g.integers(0, 5)),
+    "Hilbert": lambda m, l, g: np.asarray(1 / (np.add(*_grid(m, l)) + 1 + g.integers(0, 5))),
     "Kahan": _kahan,
-    "Laeuchli": lambda m, l, g: np.where(_grid(m, l)[1] == 0, 1.0, 0.0)
-    + 10.0 ** -g.uniform(0, 7) * (_grid(m, l)[1] == _grid(m, l)[0] + 1 if l > m else np.eye(m, l)),
+    "Laeuchli": lambda m, l, g: (
+        np.where(_grid(m, l)[1] == 0, 1.0, 0.0)
+        + 10.0 ** -g.uniform(0, 7) * (_grid(m, l)[1] == _grid(m, l)[0] + 1 if l > m else np.eye(m, l))
+    ),
     "Vandermonde": lambda m, l, g: np.vander(g.uniform(-1, 1, m), l),
     "Wilkinson": lambda m, l, g: np.eye(m, l) * np.abs(np.arange(l) - (m - 1) / 2) + np.eye(m, l, 1) + np.eye(m, l, -1),
     "graded bidiagonal": _bidiagonal,
-    "D1 C D2": lambda m, l, g: g.standard_normal((m, l)) * 10.0 ** -g.uniform(0, 3, (m, 1)) * 10.0 ** -g.uniform(0, 3, l),
-    "parallel to an ulp": lambda m, l, g: g.standard_normal(l) * (1 + 2.0 ** -g.integers(4, 40) * g.standard_normal((m, l))),
+    "D1 C D2": lambda m, l, g: (
+        g.standard_normal((m, l)) * 10.0 ** -g.uniform(0, 3, (m, 1)) * 10.0 ** -g.uniform(0, 3, l)
+    ),
+    "parallel to an ulp": lambda m, l, g: (
+        g.standard_normal(l) * (1 + 2.0 ** -g.integers(4, 40) * g.standard_normal((m, l)))
+    ),
 }
 """Test matrices of the literature (NUMERICS: Families)."""
 
