@@ -91,7 +91,8 @@ def test_like_the_textbook(shape, solver, scalar):
         compared += 1
         kept = sigma[: textbook.rank]
         kappa = 1.0 if not kept.size or kept[-1] == 0 else sigma[0] / kept[-1]
-        assert (info.status, info.rank, info.path) == (textbook.status, textbook.rank, textbook.path)
+        assert (info.status, info.rank) == (textbook.status, textbook.rank)  # the textbook knows no path but the SVD
+        assert info.path in plan.ladder
         size = np.linalg.norm(expected) + np.linalg.norm(y) + np.linalg.norm(z) / max(kept[-1:], default=1.0)
         np.testing.assert_allclose(tau, expected, rtol=0, atol=40 * plan.epsilon * kappa * size)
         assert info.sigma_min == pytest.approx(textbook.sigma_min, abs=20 * plan.epsilon * max(sigma[0], 1e-30))

@@ -11,12 +11,13 @@ from servogen.scene.solver import Solver
 
 
 @pytest.mark.parametrize(
-    ("m", "l", "kind"), [(1, 1, "row"), (1, 12, "row"), (2, 1, "column"), (2, 2, "svd"), (7, 3, "svd"), (12, 12, "svd")]
+    ("m", "l", "kind"),
+    [(1, 1, "row"), (1, 12, "row"), (2, 1, "column"), (2, 2, "full"), (7, 3, "full"), (12, 12, "full")],
 )
 def test_kind_by_shape(m, l, kind):
     plan = plan_solver(m, l, "float64", Solver())
     assert plan.kind == kind
-    assert plan.path == (Path.SVD if kind == "svd" else Path.CLOSED_FORM)
+    assert plan.path == (Path.SVD if kind == "full" else Path.CLOSED_FORM)
 
 
 @pytest.mark.parametrize(("size", "cap"), [(2, 5), (3, 7), (4, 10), (6, 10), (7, 12), (12, 12)])
@@ -37,7 +38,7 @@ def test_rtol_never_below_what_jacobi_leaves():
 
 def test_numbers_are_exact_in_the_target_type():
     plan = plan_solver(2, 3, "float32", Solver(rtol=0.1, atol=[0.1, 0.3], damping=0.7))
-    for value in (plan.rtol, *plan.atol, plan.damping, plan.orthogonal, plan.converged, plan.zeta_limit):
+    for value in (plan.rtol, *plan.atol, plan.damping, plan.orthogonal):
         assert float(np.float32(value)) == value
 
 
@@ -98,5 +99,25 @@ def test_plan_goes_to_json():
     import json
 
     shown = json.loads(json.dumps(plan_solver(3, 7, "float64", Solver(damping=0.1)).to_json()))
-    assert (shown["m"], shown["l"], shown["damping"], shown["ladder"]) == (3, 7, 0.1, ["SVD"])
+    assert (shown["m"], shown["l"], shown["damping"], shown["ladder"]) == (3, 7, 0.1, ["NORMAL", "QR", "SVD"])
     assert math.isclose(shown["rtol"], 7 * 2.0**-52)
+
+
+def test_ladder_of_the_method():
+    assert plan_solver(3, 7, "float64", Solver(method="svd")).ladder == (Path.SVD,)
+    assert plan_solver(1, 7, "float64", Solver()).ladder == (Path.CLOSED_FORM,)
+
+
+@pytest.mark.parametrize(("long", "width"), [(2, 2), (3, 3), (4, 4), (5, 8), (7, 8), (12, 12)])
+def test_vectors_are_whole_blocks(long, width):
+    assert plan_solver(2, long, "float64", Solver()).width == width
+    assert plan_solver(long, 2, "float64", Solver()).m_width == width
+
+
+@pytest.mark.parametrize("scalar", ["float64", "float32"])
+@pytest.mark.parametrize("rtol", [None, 1e-3, 0.1])
+def test_certificates_prove_more_than_the_tolerance(scalar, rtol):
+    """sigma_min at the limit of either certificate exceeds rtol |S|_F with |S|_F at its largest."""
+    plan = plan_solver(3, 7, scalar, Solver(rtol=rtol))
+    assert 1 / plan.normal_limit - plan.normal_rounding > plan.rtol**2 * 4 * 3 * 7
+    assert plan.qr_limit**-0.5 - plan.qr_rounding > plan.rtol

@@ -24,6 +24,7 @@ SOLVERS = {
     "raw": Solver(rank="raw"),
     "damped": Solver(damping=1e-2, atol=1e-6),
     "raw, damped": Solver(rank="raw", damping=0.1),
+    "svd": Solver(method="svd"),
 }
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (12, 12)]
@@ -72,7 +73,16 @@ def test_strict_flags_can_fail(tmp_path, need_tool):
 
 @pytest.mark.parametrize(("shape", "wanted"), [((1, 3), False), ((3, 1), False), ((2, 2), True)])
 def test_svd_only_where_needed(shape, wanted):
-    assert ("_jacobi(" in render(*shape, "float64", Solver())) is wanted
+    assert ("_svd(" in render(*shape, "float64", Solver())) is wanted
+
+
+def test_two_rows_need_no_iteration():
+    assert "_jacobi(" not in render(2, 3, "float64", Solver())
+    assert "_jacobi(" in render(3, 3, "float64", Solver())
+
+
+def test_svd_method_leaves_the_normal_equations_out():
+    assert "_normal_factor" not in render(3, 7, "float64", Solver(method="svd"))
 
 
 def test_scaling_is_undone_only_under_the_scaled_policy():
@@ -102,7 +112,16 @@ def test_no_double_arithmetic_on_a_cortex_m4(tmp_path, need_tool):
 def test_only_sqrt_is_called():
     text = re.sub(r"/\*.*?\*/", "", render(3, 7, "float64", SOLVERS["damped"]), flags=re.DOTALL)
     calls = set(re.findall(r"\b([a-zA-Z_]\w*)\(", text))
-    assert {c for c in calls if not c.startswith("pinv_")} <= {"sqrt", "for", "if", "UINT64_C", "use", "int"}
+    assert {c for c in calls if not c.startswith("pinv_")} <= {
+        "sqrt",
+        "for",
+        "if",
+        "UINT64_C",
+        "use",
+        "int",
+        "defined",
+        "__attribute__",
+    }
 
 
 def test_enumerators_are_those_of_python(tmp_path):

@@ -249,7 +249,7 @@ def _skipped(
     if control.known is not None:
         where = "at generation" if control.known.when == "generation" else "in prepare"
         reasons.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
-    elif solver.kind != "svd":
+    elif solver.kind != "full":
         reasons.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")
     if formulation.weight is not None:
         reasons.append(f"inverse of W: {formulation.weight.reason}")

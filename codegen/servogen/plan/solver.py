@@ -1,6 +1,7 @@
 """The plan of one pseudo-inverse: every number and choice the C templates print (NUMERICS: the ladder, tolerances).
 
-Three kinds, by shape: "row" (m = 1) and "column" (l = 1) are closed forms; "svd" is a one-sided Jacobi SVD.
+Three kinds, by shape: "row" (m = 1) and "column" (l = 1) are closed forms; "full" is the ladder of certified normal
+equations, certified pivoted QR and the SVD of its triangle.
 """
 
 import math
@@ -14,7 +15,7 @@ from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Path, Status
 from servogen.scene.solver import EPSILON, Scalar, Solver
 
-Kind = Literal["row", "column", "svd"]
+Kind = Literal["row", "column", "full"]
 Operations = dict[str, int]
 
 LARGEST = 12
@@ -22,6 +23,15 @@ LARGEST = 12
 
 SWEEP_CAPS = ((2, 5), (3, 7), (6, 10), (12, 12))
 """(min(m, l) up to, sweeps): at least two above the worst ever measured; NOT_CONVERGED stands behind them."""
+
+BLOCK = 4
+"""Sums run in this many parts, and vectors are padded to whole blocks: SIMD and scalar machines add up alike."""
+
+ROUNDING = 4
+"""c = ROUNDING l of NUMERICS' certificate: u times this covers the rounding of a product or a Gram-Schmidt."""
+
+NORMAL_SHARE = 1.0
+"""NORMAL holds up to bound = NORMAL_SHARE u^(-2/3), kappa about 1e5 in float64 and 2e2 in float32."""
 
 CONSISTENCY = 8
 """A row is met when its residual is below CONSISTENCY max(m, l) u (|S_i| (|tau| + |y|) + |z_i|): a backward error."""
@@ -100,6 +110,7 @@ class SolverPlan:
     l: int
     scalar: Scalar
     kind: Kind
+    method: Literal["auto", "svd"]
     rank: Literal["scaled", "raw"]
     rtol: float  # singular values at or below rtol times the largest count as zero
     atol: tuple[float, ...]  # per row: largest entry at or below it, and the row counts as zero
@@ -108,7 +119,17 @@ class SolverPlan:
     sweep_cap: int  # 0 for closed forms
     orthogonal: float  # two vectors are left alone when |v w| <= orthogonal |v| |w|
     converged: float  # a sweep that met nothing above converged |v| |w| was the last: above the rounding of v w
-    zeta_limit: float  # beyond it zeta^2 is not needed, and may overflow
+    smallest_square: float  # a pivot whose squared length is below counts as zero: far below u^2, safe to divide by
+    lift: float  # the triangle of the SVD is brought to this size: squares of its noise's squares do not underflow
+    normal_limit: float  # largest bound ||M(R)^-1||_F^2 of the row-normalised S with which NORMAL is accurate and safe
+    normal_floor: float  # a pivot of LDL^T below this part of its diagonal entry cannot meet normal_limit
+    normal_rounding: float  # what the rounding of S S^T and of LDL^T takes from sigma_min^2, rows of length 1
+    rtol_square: float
+    qr_rounding: float  # what the rounding of Gram-Schmidt takes from sigma_min / |S|_F
+    qr_margin: float  # sigma_min / |S|_F that QR must prove
+    qr_limit: float  # the same for bound |S|_F^2
+    square_range: tuple[int, int]  # biased exponents of squared row lengths on which NORMAL works without scaling
+    answer_range: tuple[int, int]  # the same for tau tau^T
     consistency: float  # relative residual of a row that counts as met
     row_range: RowRange | None  # kind "row" only; None where tolerances leave no room for the short form
     root: str = ""  # the square root to call; "": that of <math.h>
@@ -124,6 +145,56 @@ class SolverPlan:
         return min(self.m, self.l)
 
     @property
+    def long(self) -> int:
+        """max(m, l): the length of the vectors that are made orthogonal."""
+        return max(self.m, self.l)
+
+    @property
+    def width(self) -> int:
+        """`long` in whole blocks of four numbers; below four there are no blocks."""
+        return self.long if self.long < BLOCK else -(-self.long // BLOCK) * BLOCK
+
+    @property
+    def pad(self) -> int:
+        return self.width - self.long
+
+    @property
+    def stride(self) -> int:
+        """Columns of the triangle, padded likewise."""
+        return self.count if self.count < BLOCK else -(-self.count // BLOCK) * BLOCK
+
+    @property
+    def m_width(self) -> int:
+        """Numbers in a working vector of m: padded if it is the long side."""
+        return self.m if self.wide or self.kind != "full" else self.width
+
+    @property
+    def l_width(self) -> int:
+        return self.width if self.wide and self.kind == "full" else self.l
+
+    def m_at(self, index: str) -> str:
+        """C for the place of element `index` in a working vector of m."""
+        return index if self.wide else self._at(index)
+
+    def l_at(self, index: str) -> str:
+        return self._at(index) if self.wide and self.kind == "full" else index
+
+    def _at(self, index: str) -> str:
+        whole = self.long - self.long % BLOCK
+        return (
+            index if self.pad == 0 or self.kind != "full" else f"({index} < {whole} ? {index} : {index} + {self.pad})"
+        )
+
+    @property
+    def certificate_needs_total(self) -> bool:
+        """Whether the rank is decided on another matrix than the row-normalised one: |S|_F and the lengths enter."""
+        return self.rank == "raw" or not self.wide
+
+    @property
+    def certificate_needs_least(self) -> bool:
+        return self.certificate_needs_total or self.damping is not None
+
+    @property
     def real(self) -> str:
         return "double" if self.scalar == "float64" else "float"
 
@@ -133,7 +204,13 @@ class SolverPlan:
 
     @property
     def path(self) -> Path:
-        return Path.SVD if self.kind == "svd" else Path.CLOSED_FORM
+        """The last step of the ladder."""
+        return Path.SVD if self.kind == "full" else Path.CLOSED_FORM
+
+    @property
+    def ladder(self) -> tuple[Path, ...]:
+        certified = (Path.NORMAL, Path.QR) if self.kind == "full" and self.method == "auto" else ()
+        return (*certified, self.path)
 
     @property
     def atol_used(self) -> bool:
@@ -147,7 +224,7 @@ class SolverPlan:
     def to_json(self) -> dict[str, Any]:
         """For the manifest: the shape, the ladder and the tolerances."""
         shown = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("row_range", "root")}
-        return shown | {"atol": list(self.atol), "ladder": [self.path.name]}
+        return shown | {"atol": list(self.atol), "ladder": [path.name for path in self.ladder]}
 
 
 def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
@@ -160,7 +237,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
     if scalar not in EPSILON:
         raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
     u = EPSILON[scalar]
-    kind: Kind = "row" if m == 1 else "column" if l == 1 else "svd"
+    kind: Kind = "row" if m == 1 else "column" if l == 1 else "full"
     count = min(m, l)
     # Jacobi leaves vectors at or below u |S|_F alone: below this rtol they would be counted without being orthogonal
     floor = math.sqrt(count) * u
@@ -174,18 +251,49 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
         l=l,
         scalar=scalar,
         kind=kind,
+        method=solver.method,
         rank=solver.rank,
         rtol=_in_scalar(rtol, scalar, "rtol"),
         atol=atol,
         damping=damping,
         epsilon=u,
-        sweep_cap=next(cap for size, cap in SWEEP_CAPS if count <= size) if kind == "svd" else 0,
+        sweep_cap=next(cap for size, cap in SWEEP_CAPS if count <= size) if kind == "full" else 0,
         orthogonal=_in_scalar(math.sqrt(max(m, l)) * u / 2, scalar, "orthogonal"),
         converged=(max(m, l) + 4) * u / 2,
-        zeta_limit=_in_scalar(1 / math.sqrt(u), scalar, "zeta_limit"),
+        **_certificates(m, l, count, u, rtol),
+        **_ranges(scalar),
         consistency=CONSISTENCY * max(m, l) * u,
         row_range=_row_range(l, atol[0], damping, scalar) if kind == "row" else None,
     )
+
+
+def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str, Any]:
+    """Limits of the certificates (NUMERICS: Certificate), with margins for the rounding of the bound itself."""
+    total = 4 * m * l  # above the squared norm of S with the largest entry of each row in [1, 2)
+    rounding = ROUNDING * l * count * u
+    # refined once, NORMAL's error is (u bound)^2 + u kappa: accepted where the first is the smaller
+    accurate = NORMAL_SHARE * u ** (-2 / 3)
+    safe = 0.875 / (rounding + total * rtol**2)
+    normal_limit = min(accurate, safe)
+    qr_margin = rtol + ROUNDING * max(m, l) * u
+    return {
+        "smallest_square": 2.0**-900 if u < 2.0**-40 else 2.0**-110,
+        "lift": 1.0 if u < 2.0**-40 else 2.0**20,
+        "normal_limit": normal_limit,
+        "normal_floor": 1 / normal_limit,
+        "normal_rounding": rounding,
+        "rtol_square": rtol**2,
+        "qr_rounding": ROUNDING * max(m, l) * u,
+        "qr_margin": qr_margin,
+        "qr_limit": 0.875 / qr_margin**2,
+    }
+
+
+def _ranges(scalar: Scalar) -> dict[str, Any]:
+    """Biased exponents within which NORMAL needs no scaling: products that underflow are far below half an ulp."""
+    square, low, high = (500, -1000, 900) if scalar == "float64" else (40, -100, 110)
+    bias = BITS[scalar].bias
+    return {"square_range": (bias - square, bias + square), "answer_range": (bias + low, bias + high)}
 
 
 def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
@@ -252,8 +360,8 @@ def _dot(n: int) -> Operations:
 def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     """Floating-point operations of `solve` with y, without info; exact scalings by powers of two left out.
 
-    "closed_form" for one row or column (the usual case, no damping); else "sweep" (every pair rotated) and "worst"
-    (sweep_cap sweeps of each Jacobi run that a solve can need, factors applied twice).
+    "closed_form" for one row or column (the usual case, no damping); else one entry a step of the ladder, each with what
+    the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
     """
     m, l, n = plan.m, plan.l, plan.count
     if plan.kind == "row":
@@ -262,18 +370,38 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     if plan.kind == "column":  # applied twice: the second is the refinement
         apply = _sum((1, _dot(m)), (1, _total(div=2)), (1, _total(add=1, mul=1)))
         return {"closed_form": _sum((1, _dot(m)), (1, _total(add=4, sqrt=1)), (2, residual), (2, apply))}
-    length, companion = (l, m) if plan.wide else (m, l)
-    rotation = _sum((2, _dot(length)), (length + companion, _total(add=2, mul=4)), (1, _total(4, 6, 3, 4)))
-    sweep = _sum((n * (n - 1) // 2, _sum((1, _dot(length)), (1, _total(mul=2)), (1, rotation))))
-    apply = _sum((n, _sum((1, _dot(m)), (1, _total(div=2)), (1, _total(add=l, mul=l)))))
-    runs = 1 + (plan.rank == "scaled") + (plan.rank == "scaled" and plan.damping is not None)
-    norms = _sum((n, _sum((1, _dot(length)), (1, _total(sqrt=1)))))
-    worst = _sum(
-        (runs * plan.sweep_cap, sweep),
-        (runs, norms),
-        (2, apply),
-        (2, residual),
-        (1, _total(add=3 * l)),
-        (n, _total(mul=1)),
+    long, stride = plan.width, plan.stride
+    gram = _sum((n * (n + 1) // 2, _dot(long)))
+    triangle = n * (n - 1) // 2
+    cubic = n * (n - 1) * (n - 2) // 6
+    factor = _sum((cubic, _total(add=1, mul=1)), (triangle, _total(add=1, mul=2)), (n, _total(div=1)))
+    bound = _sum((cubic, _total(add=1, mul=1)), (triangle, _total(add=1, mul=2)), (n, _total(add=1, mul=1)))
+    substitute = _sum((2 * triangle, _total(add=1, mul=1)), (n, _total(mul=1)))
+    normal = _sum((1, gram), (1, factor), (1, bound), (2, substitute), (2 * n, _total(long, long)), (1, residual))
+    normal = _sum((1, normal), (1, residual), (1, _total(add=2 * long, mul=long)))
+    project = _sum((1, _dot(long)), (1, _total(mul=1)), (1, _total(long, long)), (1, _dot(long)))
+    qr = _sum((2 * n, _dot(long)), (triangle, project), (n, _total(div=1)))
+    apply = _sum((triangle, _total(add=1, mul=1)), (n, _total(mul=1)), (n, _total(long, long)))
+    certified = _sum((1, qr), (1, bound), (n, _dot(long)), (2, apply), (2, residual), (1, _total(add=2 * long)))
+    if n == 2:
+        svd = _total(add=9, mul=10, div=10, sqrt=5)
+    else:
+        rotation = _sum((3, _dot(stride)), (stride, _total(add=4, mul=4)), (1, _total(5, 12, 4, 4)))
+        sweep = _sum((triangle, rotation))
+        svd = _sum((plan.sweep_cap, sweep), (n, _dot(stride)), (n, _total(sqrt=2)), (n * stride, _total(div=1)))
+    vectors = _sum((n * n, _total(long, long)), (n, _total(mul=long, div=1)))
+    decompose = _sum((1, qr), (1, svd), (1, vectors))
+    weigh = _sum(
+        (m * n, _total(2 * m, 2 * m)), (n * n, _total(m, m)), (m * n, _total(n, n, 1)), (n, _total(div=1, sqrt=1))
     )
-    return {"sweep": sweep, "worst": worst}
+    runs = 1 + (plan.rank == "scaled" and (not plan.wide or plan.damping is not None))
+    apply = _sum((n, _total(m + l, m + l + 1)))
+    steps = [(runs, decompose), (2, apply), (2, residual), (1, _total(add=3 * l)), (int(plan.rank == "scaled"), weigh)]
+    counts = {"svd": _sum(*steps)}
+    if plan.method == "auto":
+        counts = {
+            "normal": normal,
+            "qr": _sum((1, normal), (1, certified)),
+            "svd": _sum((1, normal), (1, certified), *steps),
+        }
+    return counts

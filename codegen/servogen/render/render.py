@@ -154,8 +154,8 @@ def _solver_cost(module: Module) -> str:
     costs = solver_operations(module.solver)
     if "closed_form" in costs:
         return f"{costs['closed_form']['total']} operations, closed form"
-    sweeps = module.solver.sweep_cap
-    return f"at most {costs['worst']['total']} operations ({costs['sweep']['total']} a sweep, at most {sweeps} sweeps)"
+    usual = f"{costs['normal']['total']} operations (normal equations), " if "normal" in costs else ""
+    return f"{usual}at most {costs['svd']['total']} (SVD, at most {module.solver.sweep_cap} sweeps)"
 
 
 def _manifest(module: Module, files: list[SourceFile]) -> str:

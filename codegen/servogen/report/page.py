@@ -85,7 +85,7 @@ def _bench_rows(bench: Bench) -> list[Measurement]:
 
 def _solver_text(manifest: dict[str, Any]) -> str:
     solver = manifest["solver"]
-    kind = {"row": "one row: closed form", "column": "one column: closed form", "svd": "one-sided Jacobi SVD"}
+    kind = {"row": "one row: closed form", "column": "one column: closed form", "full": "certified ladder"}
     return f"{solver['m']}×{solver['l']}, {kind[solver['kind']]}"
 
 

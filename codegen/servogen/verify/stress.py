@@ -8,7 +8,7 @@ import functools
 import itertools
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, cast
 
@@ -122,12 +122,14 @@ def stress(
     scalars: Sequence[Scalar] = SCALARS,
     families: Sequence[str] | None = None,
     jobs: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> StressReport:
     """Every family on every shape it has, `systems` matrices each.
 
     make(m, l, scalar, solver) gives the twin under test; by default it is the package of `servogen.build_solver`.
-    With jobs > 1, `make` must be picklable. Raises ValueError for an unknown family.
+    The tasks run on `executor` if one is given (dask.distributed's Client.get_executor(), say), else in `jobs` processes;
+    in both cases `make` must be picklable. Raises ValueError for an unknown family.
     """
     chosen = tuple(FAMILIES) if families is None else tuple(families)
     unknown = [name for name in chosen if name not in FAMILIES]
@@ -140,7 +142,7 @@ def stress(
         if FAMILIES[name].applies(m, l)
     ]
     results: list[tuple[Task, list[Measured]]] = []
-    for task, measured in _run_all(tasks, twin, jobs):
+    for task, measured in _run_all(tasks, twin, jobs, executor):
         results.append((task, measured))
         if progress is not None:
             progress(len(results), len(tasks), f"{task.family} {task.m}x{task.l} {task.scalar}")
@@ -155,7 +157,12 @@ def built(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
     return cast(SolverTwin, build_solver(m, l, scalar=scalar, solver=solver).load())
 
 
-def _run_all(tasks: Sequence[Task], make: MakeTwin, jobs: int) -> Iterator[tuple[Task, list[Measured]]]:
+def _run_all(
+    tasks: Sequence[Task], make: MakeTwin, jobs: int, executor: Executor | None
+) -> Iterator[tuple[Task, list[Measured]]]:
+    if executor is not None:
+        yield from zip(tasks, executor.map(run, tasks, itertools.repeat(make, len(tasks))), strict=True)
+        return
     if jobs == 1:
         for task in tasks:
             yield task, run(task, make)
@@ -364,6 +371,62 @@ def _spectra(task: Task, bench: Bench) -> Iterator[Measured]:
     yield Measured(RANK, (bench.solve(S, z, y)[1]["rank"] != n).astype(float))
 
 
+def _classical(task: Task, bench: Bench) -> Iterator[Measured]:
+    """Matrices with names, permuted and with signs flipped; those worse than 0.1 / (max(m, l) u) are left out."""
+    generator = task.generator()
+    m, l = task.m, task.l
+    most = 0.1 / (max(m, l) * bench.u)
+    kept: list[FloatArray] = []
+    for i in range(20 * task.systems):
+        if len(kept) == task.systems:
+            break
+        A = CLASSICAL[list(CLASSICAL)[i % len(CLASSICAL)]](m, l, generator)
+        A = generator.permuted(A[:, generator.permutation(l)], axis=0) if i % 2 else A
+        A = bench.round(A * generator.choice([-1.0, 1.0], (m, 1)) * generator.choice([-1.0, 1.0], l))
+        with np.errstate(all="ignore"):
+            if np.linalg.cond(A.astype(np.float64)) <= most:
+                kept.append(A)
+    S = np.array(kept)
+    z, y = _tasks_of(S, generator, bench)
+    yield from _accuracy(bench, S, z, y, [exact.pinv_full(exact.rational(s)) for s in S])
+
+
+def _grid(m: int, l: int) -> tuple[FloatArray, FloatArray]:
+    return np.arange(m, dtype=np.float64)[:, None], np.arange(l, dtype=np.float64)[None, :]
+
+
+def _kahan(m: int, l: int, generator: Generator) -> FloatArray:
+    c = float(generator.uniform(0.05, 0.95))
+    i, j = _grid(m, l)
+    return np.asarray((1 - c * c) ** (i / 2) * np.where(j == i, 1.0, np.where(j > i, -c, 0.0)))
+
+
+def _bidiagonal(m: int, l: int, generator: Generator) -> FloatArray:
+    i, j = _grid(m, l)
+    ratio = 10.0 ** -generator.uniform(0, 2)
+    return np.asarray(ratio**i * ((j == i) + (j == i + 1)))
+
+
+CLASSICAL: dict[str, Callable[[int, int, Generator], FloatArray]] = {
+    "Hilbert": lambda m, l, g: np.asarray(1 / (np.add(*_grid(m, l)) + 1 + g.integers(0, 5))),
+    "Kahan": _kahan,
+    "Laeuchli": lambda m, l, g: (
+        np.where(_grid(m, l)[1] == 0, 1.0, 0.0)
+        + 10.0 ** -g.uniform(0, 7) * (_grid(m, l)[1] == _grid(m, l)[0] + 1 if l > m else np.eye(m, l))
+    ),
+    "Vandermonde": lambda m, l, g: np.vander(g.uniform(-1, 1, m), l),
+    "Wilkinson": lambda m, l, g: np.eye(m, l) * np.abs(np.arange(l) - (m - 1) / 2) + np.eye(m, l, 1) + np.eye(m, l, -1),
+    "graded bidiagonal": _bidiagonal,
+    "D1 C D2": lambda m, l, g: (
+        g.standard_normal((m, l)) * 10.0 ** -g.uniform(0, 3, (m, 1)) * 10.0 ** -g.uniform(0, 3, l)
+    ),
+    "parallel to an ulp": lambda m, l, g: (
+        g.standard_normal(l) * (1 + 2.0 ** -g.integers(4, 40) * g.standard_normal((m, l)))
+    ),
+}
+"""Test matrices of the literature (NUMERICS: Families)."""
+
+
 def _graded(task: Task, bench: Bench) -> Iterator[Measured]:
     generator = task.generator()
     N, m, l = task.systems, task.m, task.l
@@ -482,6 +545,7 @@ REGRESSIONS: tuple[Any, ...] = (
     [[1, 2], [2, 4]],
     [[1, 2, 3], [2, 1, 3], [3, 1, 4]],
     [[5e-30, 0, 1, 0, 0, 6e-16, 0, 0], [0, 6e-16, 0, 0, 1, 0, 0, 0], [0, 0, 6e-16, 1, 0, 0, 0, 1]],  # nalgebra#1313
+    [[0, 0], [2.2250738585072014e-308, 1]],  # a column of realmin, LAPACK#565
     [[-0.5, 0.5, 0.5, -0.5], [0.5, -0.5, 0.5, -0.5], [1e-2, 1e-2, -1e-2, -1e-2]],  # PX4-Matrix#148
 )
 
@@ -594,6 +658,7 @@ def _denormals(task: Task, bench: Bench) -> Iterator[Measured]:
 
 FAMILIES: dict[str, Family] = {
     "spectra": Family(_spectra, lambda m, l: m <= l),
+    "classical": Family(_classical, lambda m, l: 1 < m <= l),
     "graded rows": Family(_graded, lambda m, l: 1 < m <= l),
     "scaled by powers of two": Family(_scaled, lambda m, l: True),
     "rank-deficient and consistent": Family(lambda t, b: _products(t, b, True), lambda m, l: m > 1),

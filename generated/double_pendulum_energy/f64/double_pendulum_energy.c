@@ -11,8 +11,7 @@
 #error "build double_pendulum_energy.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ---- */
 
 typedef union {
     double value;
@@ -244,6 +243,13 @@ static double double_pendulum_energy_cos(double x)
 }
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_APART
+#endif
+
 /* 2^k, -1022 <= k <= 1023. */
 static double double_pendulum_energy_power(int k)
 {
@@ -256,6 +262,9 @@ static double double_pendulum_energy_power(int k)
 static double double_pendulum_energy_shift(double x, int k)
 {
     int step;
+    if (k >= -1022 && k <= 1023) {
+        return x * double_pendulum_energy_power(k);
+    }
     for (step = 0; step < 3 && k > 1023; ++step) {
         x *= double_pendulum_energy_power(1023);
         k -= 1023;
@@ -287,6 +296,12 @@ static int double_pendulum_energy_exponent(uint64_t magnitude)
         lift = 64;
     }
     return (int)(magnitude >> 52) - 1023 - lift;
+}
+
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int double_pendulum_energy_within(double x, uint64_t low, uint64_t high)
+{
+    return (double_pendulum_energy_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -517,12 +532,6 @@ static int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv, d
         S_pinv[j] = answer[j];
     }
     return status;
-}
-
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_energy_within(double x, uint64_t low, uint64_t high)
-{
-    return (double_pendulum_energy_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
 static int double_pendulum_energy_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)

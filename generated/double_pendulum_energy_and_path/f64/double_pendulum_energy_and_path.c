@@ -11,8 +11,7 @@
 #error "build double_pendulum_energy_and_path.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     double value;
@@ -279,6 +278,13 @@ static double_pendulum_energy_and_path_pair double_pendulum_energy_and_path_sinc
 }
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_APART
+#endif
+
 /* 2^k, -1022 <= k <= 1023. */
 static double double_pendulum_energy_and_path_power(int k)
 {
@@ -291,6 +297,9 @@ static double double_pendulum_energy_and_path_power(int k)
 static double double_pendulum_energy_and_path_shift(double x, int k)
 {
     int step;
+    if (k >= -1022 && k <= 1023) {
+        return x * double_pendulum_energy_and_path_power(k);
+    }
     for (step = 0; step < 3 && k > 1023; ++step) {
         x *= double_pendulum_energy_and_path_power(1023);
         k -= 1023;
@@ -329,180 +338,429 @@ static double double_pendulum_energy_and_path_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-static double double_pendulum_energy_and_path_dot(const double *a, const double *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int double_pendulum_energy_and_path_within(double x, uint64_t low, uint64_t high)
 {
-    double sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (double_pendulum_energy_and_path_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void double_pendulum_energy_and_path_rotate(double *a, double *b, int n, double s, double h)
+static void double_pendulum_energy_and_path_spread(const double *restrict v, double factor, double *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        const double y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 2; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void double_pendulum_energy_and_path_swap(double *a, double *b, int n)
+/* The inverse of spreading, without a factor. */
+static void double_pendulum_energy_and_path_gather(const double *restrict w, double *restrict v)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        a[i] = b[i];
-        b[i] = x;
+    int k;
+    for (k = 0; k < 2; ++k) {
+        v[k] = w[k];
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
-   Returns the sweeps it took, or 0 if 5 did not do. */
-static int double_pendulum_energy_and_path_jacobi(double *v, int length, double *w, int width, int count, double *sigma)
+static double double_pendulum_energy_and_path_inner(const double *a, const double *b)
 {
-    double floor_norm = 0.0;
-    int sweep, i, j;
-    for (i = 0; i < count; ++i) {
-        const double square = double_pendulum_energy_and_path_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = double_pendulum_energy_and_path_sqrt(square);
-    }
-    floor_norm = 2.220446049250313e-16 * double_pendulum_energy_and_path_sqrt(floor_norm);
-    for (sweep = 1; sweep <= 5; ++sweep) {
-        int turned = 0;
-        for (i = 0; i < count; ++i) {
-            double *const a = v + length * i;
-            int top = i;
-            for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
-            }
-            if (top != i) {
-                const double norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                double_pendulum_energy_and_path_swap(a, v + length * top, length);
-                double_pendulum_energy_and_path_swap(w + width * i, w + width * top, width);
-            }
-            for (j = i + 1; j < count; ++j) {
-                double *const b = v + length * j;
-                double inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = double_pendulum_energy_and_path_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (double_pendulum_energy_and_path_abs(inner) <= 1.5700924586837752e-16 * product) {
-                    continue;
-                }
-                if (double_pendulum_energy_and_path_abs(inner) > 6.661338147750939e-16 * product) { /* more than rounding can bring back */
-                    turned = 1;
-                }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0 * inner);
-                if (double_pendulum_energy_and_path_abs(zeta) > 67108864.0) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5 / zeta;
-                } else {
-                    t = 1.0 / (double_pendulum_energy_and_path_abs(zeta) + double_pendulum_energy_and_path_sqrt(1.0 + zeta * zeta));
-                    t = zeta < 0.0 ? -t : t;
-                }
-                c = 1.0 / double_pendulum_energy_and_path_sqrt(1.0 + t * t);
-                s = c * t;
-                h = s / (1.0 + c);
-                double_pendulum_energy_and_path_rotate(a, b, length, s, h);
-                double_pendulum_energy_and_path_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = double_pendulum_energy_and_path_sqrt(double_pendulum_energy_and_path_dot(a, a, length));
-                sigma[j] = double_pendulum_energy_and_path_sqrt(double_pendulum_energy_and_path_dot(b, b, length));
-            }
-        }
-        if (!turned) {
-            return sweep;
-        }
-    }
-    return 0;
+    return a[0] * b[0] + a[1] * b[1];
 }
 
 typedef struct {
-    double S[4];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[2];   /* -16384 where the row counts as zero */
-    double left[4];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    double right[4]; /* one of them orthonormal, */
-    double sigma[2];     /* the other of these lengths, largest first */
+    double lower[1]; /* L below its unit diagonal, row by row */
+    double inverse[2]; /* 1 / D */
+} double_pendulum_energy_and_path_normal;
+
+/* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int double_pendulum_energy_and_path_normal_factor(const double *B, double_pendulum_energy_and_path_normal *f)
+{
+    const double g_0_0 = double_pendulum_energy_and_path_inner(B, B);
+    const double g_1_1 = double_pendulum_energy_and_path_inner(B + 2, B + 2);
+    const double g_1_0 = double_pendulum_energy_and_path_inner(B + 2, B);
+    double d_0, i_0;
+    double d_1, i_1;
+    double v_1_0, l_1_0, n_1_0;
+    double bound;
+    if (!double_pendulum_energy_and_path_within(g_0_0, 523, 1523) || !double_pendulum_energy_and_path_within(g_1_1, 523, 1523)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0 / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0 / d_1;
+    n_1_0 = double_pendulum_energy_and_path_abs(l_1_0);
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    if (!(bound <= 27271342415.357616)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->lower[0] = l_1_0;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void double_pendulum_energy_and_path_normal_solve(const double_pendulum_energy_and_path_normal *f, const double *r, double *w)
+{
+    const double a_0 = r[0];
+    const double a_1 = r[1] - f->lower[0] * a_0;
+    const double b_1 = f->inverse[1] * a_1;
+    const double b_0 = f->inverse[0] * a_0 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    double P[4];
+    double L[4];
+    double square[2];  /* squared length of the k-th pivot */
+    double inverse[2]; /* its inverse */
+    int order[2];
+    double total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} double_pendulum_energy_and_path_qr;
+
+/* rest -= along pivot, its squared length. */
+static double double_pendulum_energy_and_path_take_out(double *restrict rest, const double *restrict pivot, double along)
+{
+    int j;
+    for (j = 0; j < 2; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return double_pendulum_energy_and_path_inner(rest, rest);
+}
+
+static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pendulum_energy_and_path_qr *f)
+{
+    double left[2]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 4; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 2; ++i) {
+        left[i] = double_pendulum_energy_and_path_inner(B + 2 * i, B + 2 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 2; ++k) {
+        uint64_t best = double_pendulum_energy_and_path_magnitude(left[f->order[k]]);
+        const double *pivot;
+        double square, inverse;
+        int at = k;
+        for (i = k + 1; i < 2; ++i) {
+            const uint64_t other = double_pendulum_energy_and_path_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 2 * i;
+        square = left[i];
+        f->L[2 * i + k] = 1.0;
+        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0 / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 2; ++i) {
+            const int row = f->order[i];
+            double *const rest = f->P + 2 * row;
+            const double along = double_pendulum_energy_and_path_inner(pivot, rest) * inverse;
+            f->L[2 * row + k] = along;
+            left[row] = double_pendulum_energy_and_path_take_out(rest, pivot, along);
+        }
+    }
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const double *const row_1 = f->L + 2 * f->order[1];
+    double n_1_0;
+    double bound;
+    double total = f->total;
+    if (f->steps < 2) {
+        return 0;
+    }
+    n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound * total < 1.7747108403195213e+29;
+}
+
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+   (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
+static void double_pendulum_energy_and_path_triangle(double *t, int first, double *sigma)
+{
+    const int second = 1 - first;
+    const double f = t[first];
+    const double g = t[second];
+    const double h = t[2 + second];
+    const double gap = h < f ? (f - h) / f : 0.0;
+    const double m = g / f;
+    const double sum = 2.0 - gap;
+    const double s = double_pendulum_energy_and_path_sqrt(sum * sum + m * m);
+    const double r = double_pendulum_energy_and_path_sqrt(gap * gap + m * m);
+    const double a = 0.5 * (s + r);
+    double tangent = 0.0;
+    double c, w;
+    if (r > 0.0) {
+        tangent = (m / (s + sum) + m / (r + gap)) * (1.0 + a);
+    }
+    w = double_pendulum_energy_and_path_sqrt(tangent * tangent + 4.0);
+    c = 2.0 / w;
+    w = tangent / w;
+    sigma[0] = f * a;
+    sigma[1] = h / a;
+    t[first] = c;
+    t[second] = w;
+    t[2 + first] = -w;
+    t[2 + second] = c;
+}
+
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int double_pendulum_energy_and_path_svd(const double_pendulum_energy_and_path_qr *f, double *left, double *sigma)
+{
+    int i, k;
+    for (k = 0; k < 4; ++k) {
+        left[k] = 0.0;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const double length = double_pendulum_energy_and_path_sqrt(f->square[k]);
+        for (i = k; i < 2; ++i) {
+            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 2; ++k) {
+        sigma[k] = 0.0;
+    }
+    if (f->steps > 0) {
+        double_pendulum_energy_and_path_triangle(left, f->order[0], sigma);
+    }
+    return 1;
+}
+
+typedef struct {
+    double B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[2];   /* -16384 where a row counts as zero */
+    double_pendulum_energy_and_path_normal normal;
+    double_pendulum_energy_and_path_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    double left[4];
+    double right[4];
+    double sigma[2];
+    double gain[2];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    double least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } double_pendulum_energy_and_path_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void double_pendulum_energy_and_path_unscale_rows(double_pendulum_energy_and_path_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void double_pendulum_energy_and_path_undo_scaling(double_pendulum_energy_and_path_factors *f, int top)
+{
+    double F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
+    double corner[2], weight[2], e[2], x[2];
+    int row[2], column[2];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 2; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 2; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[2 * k + i] = exponent == -16384 ? 0.0 :
+                double_pendulum_energy_and_path_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint64_t best = 0;
+        double *v;
+        double square = 0.0;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint64_t largest = double_pendulum_energy_and_path_largest(F + 2 * column[j] + k, 2 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0;
+        corner[k] = 0.0;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = double_pendulum_energy_and_path_exponent(best);
+        v = F + 2 * j;
+        for (i = k; i < 2; ++i) {
+            v[i] = double_pendulum_energy_and_path_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = double_pendulum_energy_and_path_sqrt(square);
+        corner[k] = double_pendulum_energy_and_path_shift(v[k] > 0.0 ? -square : square, unit);
+        v[k] += v[k] > 0.0 ? square : -square;
+        weight[k] = 1.0 / (square * double_pendulum_energy_and_path_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            double *const other = F + 2 * column[j];
+            double along = 0.0;
+            for (i = k; i < 2; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 2; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 2; ++i) {
+        x[i] = 0.0;
+    }
+    for (i = 0; i < 2; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 2; ++j) {
+            e[j] = i == j ? 1.0 : 0.0;
+        }
+        for (k = 0; k < rank; ++k) {
+            const double *const v = F + 2 * column[k];
+            double along = 0.0;
+            for (j = k; j < 2; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 2; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            double sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[2 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0 || corner[k] > 0.0 ? sum / corner[k] : 0.0;
+            f->left[2 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void double_pendulum_energy_and_path_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
-        if (f->exponent[i] != -16384) {
+        const double *const row = S + 2 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+            double_pendulum_energy_and_path_spread(row, double_pendulum_energy_and_path_power(-exponent[i]), B + 2 * i);
+        } else {
+            double shifted[2];
             for (j = 0; j < 2; ++j) {
-                f->S[2 * i + j] = double_pendulum_energy_and_path_shift(f->S[2 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            double_pendulum_energy_and_path_spread(shifted, 1.0, B + 2 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int double_pendulum_energy_and_path_decompose(double_pendulum_energy_and_path_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int double_pendulum_energy_and_path_values(double_pendulum_energy_and_path_factors *f, double *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 4; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 2; ++j) {
-            f->left[2 * i + j] = i == j ? 1.0 : 0.0;
-        }
-    }
-    sweeps = double_pendulum_energy_and_path_jacobi(f->right, 2, f->left, 2, 2, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = double_pendulum_energy_and_path_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int double_pendulum_energy_and_path_undo_scaling(double_pendulum_energy_and_path_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void double_pendulum_energy_and_path_vectors(double_pendulum_energy_and_path_factors *f, const double *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
+        double *const near = f->left + 2 * k;
+        double *const far = f->right + 2 * k;
+        f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 2; ++i) {
-            f->right[2 * k + i] /= f->sigma[k];
+            near[i] = u[2 * k + i];
         }
-        for (i = 0; i < 2; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[2 * k + i] *= f->sigma[k];
-                f->left[2 * k + i] = double_pendulum_energy_and_path_shift(f->left[2 * k + i], f->exponent[i] - top);
+        for (j = 0; j < 2; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 2; ++i) {
+            for (j = 0; j < 2; ++j) {
+                far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (j = 0; j < 2; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    double_pendulum_energy_and_path_unscale_rows(f, top);
-    sweeps = double_pendulum_energy_and_path_jacobi(f->left, 2, f->right, 2, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int double_pendulum_energy_and_path_factorise(const double *S, double_pendulum_energy_and_path_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise_svd(const double *S, double_pendulum_energy_and_path_factors *f, int top, int bottom)
+{
+    double u[4];
+    int i;
+    f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD;
+    if (!double_pendulum_energy_and_path_values(f, u)) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 2; ++i) {
+        f->rank += f->sigma[i] > 4.440892098500626e-16 * f->sigma[0];
+    }
+    f->direct = f->rank == 2;
+    if (!f->direct) {
+        double_pendulum_energy_and_path_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            double_pendulum_energy_and_path_undo_scaling(f, top);
+            for (i = 0; i < 2; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
+        }
+    }
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise(const double *S, double_pendulum_energy_and_path_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_energy_and_path_word word;
         word.bits = double_pendulum_energy_and_path_largest(S + 2 * i, 2);
@@ -518,51 +776,45 @@ static int double_pendulum_energy_and_path_factorise(const double *S, double_pen
         }
     }
     f->uniform = active == 2 && top == bottom;
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 2; ++j) {
-            f->S[2 * i + j] =
-                f->exponent[i] == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(S[2 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!double_pendulum_energy_and_path_decompose(f)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NOT_CONVERGED;
-    }
-    f->least = f->sigma[1];
-    for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 4.440892098500626e-16 * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!double_pendulum_energy_and_path_undo_scaling(f, top)) {
-            return DOUBLE_PENDULUM_ENERGY_AND_PATH_NOT_CONVERGED;
+    double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
+    if (active >= 2) {
+        int known = 1;
+        f->rank = 2;
+        f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
+        if (after_normal || double_pendulum_energy_and_path_normal_factor(f->B, &f->normal) != 1) {
+            f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR;
+            f->direct = 1;
+            double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
+            known = double_pendulum_energy_and_path_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+        }
+        f->direct = 0;
+    } else {
+        double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
     }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+    return double_pendulum_energy_and_path_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static double double_pendulum_energy_and_path_sigma_min(const double *S, const double_pendulum_energy_and_path_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART double double_pendulum_energy_and_path_sigma_min(const double *S, double_pendulum_energy_and_path_factors *f)
 {
     const uint64_t magnitude = double_pendulum_energy_and_path_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_energy_and_path_exponent(magnitude);
-    double v[4];
-    double sigma[2];
-    double least;
+    double u[4];
     int i;
-    if (f->uniform) {
-        return double_pendulum_energy_and_path_shift(f->least, top);
+    if (f->path != DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
+        double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
+        (void)double_pendulum_energy_and_path_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 4; ++i) {
-        v[i] = double_pendulum_energy_and_path_shift(S[i], -top);
-    }
-    (void)double_pendulum_energy_and_path_jacobi(v, 2, v, 0, 2, sigma);
-    least = sigma[0];
-    for (i = 1; i < 2; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return double_pendulum_energy_and_path_shift(least, top);
+    return double_pendulum_energy_and_path_shift(f->sigma[1], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -644,42 +896,80 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
     return met;
 }
 
-/* x = S+ r. */
-static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_and_path_factors *f, const double *r, double *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    int k, i, j;
+    const double *const p_0 = f->P + 2 * f->order[0];
+    const double w_0 = r[f->order[0]];
+    const double *const row_1 = f->L + 2 * f->order[1];
+    const double *const p_1 = f->P + 2 * f->order[1];
+    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    double c_0 = w_0 * f->inverse[0];
+    double c_1 = w_1 * f->inverse[1];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
+        }
+        return;
+    }
+    for (j = 0; j < 2; ++j) {
+        x[j] = c_1 * p_1[j];
+    }
+    c_0 = (w_0 - double_pendulum_energy_and_path_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 2; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void double_pendulum_energy_and_path_normal_apply(const double_pendulum_energy_and_path_normal *f, const double *B, const double *restrict r, double *restrict x)
+{
+    double w[2];
+    int j;
+    double_pendulum_energy_and_path_normal_solve(f, r, w);
+    for (j = 0; j < 2; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 2];
+    }
+}
+
+/* r = z - B t. */
+static void double_pendulum_energy_and_path_residual(const double *B, const double *z, const double *t, double *restrict r)
+{
+    r[0] = z[0] - double_pendulum_energy_and_path_inner(B, t);
+    r[1] = z[1] - double_pendulum_energy_and_path_inner(B + 2, t);
+}
+
+/* x = S+ r, from the step of the ladder that held. */
+static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_and_path_factors *f, const double *r, double *x, int careful)
+{
+    int i, j, k;
+    if (f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL) {
+        double_pendulum_energy_and_path_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        double_pendulum_energy_and_path_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 2; ++j) {
         x[j] = 0.0;
     }
     for (k = 0; k < f->rank; ++k) {
         const double *const left = f->left + 2 * k;
-        const double *const right = f->right + 2 * k;
         double along = left[0] * r[0];
         for (i = 1; i < 2; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 2; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[2 * k + j];
         }
     }
 }
 
-/* r = z - S t. */
-static void double_pendulum_energy_and_path_residual(const double_pendulum_energy_and_path_factors *f, const double *z, const double *t, double *r)
-{
-    int i, j;
-    for (i = 0; i < 2; ++i) {
-        r[i] = z[i];
-        for (j = 0; j < 2; ++j) {
-            r[i] -= f->S[2 * i + j] * t[j];
-        }
-    }
-}
-
-static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int after_normal)
 {
     double_pendulum_energy_and_path_factors f;
     double zs[2], ys[2], r[2], x[2], answer[2];
@@ -689,7 +979,7 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     if (double_pendulum_energy_and_path_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
         return double_pendulum_energy_and_path_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE, info);
     }
-    status = double_pendulum_energy_and_path_factorise(S, &f);
+    status = double_pendulum_energy_and_path_factorise(S, &f, after_normal);
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(status, info);
     }
@@ -712,8 +1002,8 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     for (j = 0; j < 2; ++j) {
         ys[j] = y == NULL ? 0.0 : double_pendulum_energy_and_path_shift(y[j], -unit);
     }
-    double_pendulum_energy_and_path_residual(&f, zs, ys, r);
-    double_pendulum_energy_and_path_apply(&f, r, x);
+    double_pendulum_energy_and_path_residual(f.B, zs, ys, r);
+    double_pendulum_energy_and_path_apply(&f, r, x, 0);
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_and_path_shift(x[j], unit);
         if (y != NULL) {
@@ -723,8 +1013,8 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     {
-        double_pendulum_energy_and_path_residual(&f, zs, ys, r);
-        double_pendulum_energy_and_path_apply(&f, r, x);
+        double_pendulum_energy_and_path_residual(f.B, zs, ys, r);
+        double_pendulum_energy_and_path_apply(&f, r, x, 1);
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_and_path_shift(x[j], unit);
         }
@@ -740,7 +1030,7 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     }
     if (info != NULL) {
         info->status = status;
-        info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = double_pendulum_energy_and_path_sigma_min(S, &f);
@@ -752,12 +1042,66 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     return status;
 }
 
-static int double_pendulum_energy_and_path_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_path_report(const double *S, const double *z, const double *y, const double *tau, double_pendulum_energy_and_path_info *info)
+{
+    double_pendulum_energy_and_path_factors f;
+    (void)double_pendulum_energy_and_path_consistent(S, z, y, tau, &info->residual);
+    f.path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
+    info->status = DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+    info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
+    info->rank = 2;
+    info->sweeps = 0;
+    info->sigma_min = double_pendulum_energy_and_path_sigma_min(S, &f);
+}
+
+/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
+   fit ends in a square that is out of range, NaN and infinity too. */
+static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+{
+    double_pendulum_energy_and_path_normal f;
+    double r[2], x[2], step[2];
+    int held, j;
+    const double *const B = S;
+    held = double_pendulum_energy_and_path_normal_factor(B, &f);
+    if (held == 1) {
+        if (y == NULL) {
+            double_pendulum_energy_and_path_normal_apply(&f, B, z, x);
+        } else {
+            double given[2];
+            double_pendulum_energy_and_path_spread(y, 1.0, given);
+            double_pendulum_energy_and_path_residual(B, z, given, r);
+            double_pendulum_energy_and_path_normal_apply(&f, B, r, x);
+            for (j = 0; j < 2; ++j) {
+                x[j] += given[j];
+            }
+        }
+        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+        double_pendulum_energy_and_path_residual(B, z, x, r);
+        double_pendulum_energy_and_path_normal_apply(&f, B, r, step);
+        for (j = 0; j < 2; ++j) {
+            x[j] += step[j];
+        }
+        if (double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_inner(x, x), 23, 1923)) {
+            if (info != NULL) {
+                double answer[2];
+                double_pendulum_energy_and_path_gather(x, answer);
+                double_pendulum_energy_and_path_report(S, z, y, answer, info);
+            }
+            double_pendulum_energy_and_path_gather(x, tau);
+            return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+        }
+        held = -1;
+    }
+    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, held == 0);
+}
+
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_factors f;
     double unit[2], x[2], answer[4];
     int status, i, j;
-    status = double_pendulum_energy_and_path_factorise(S, &f);
+    status = double_pendulum_energy_and_path_factorise(S, &f, 1);
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(status, info);
     }
@@ -767,7 +1111,7 @@ static int double_pendulum_energy_and_path_pinv_core(const double *S, double *S_
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0;
-        double_pendulum_energy_and_path_apply(&f, unit, x);
+        double_pendulum_energy_and_path_apply(&f, unit, x, 1);
         unit[i] = 0.0;
         for (j = 0; j < 2; ++j) {
             answer[2 * j + i] = zero_row ? 0.0 : double_pendulum_energy_and_path_shift(x[j], -f.exponent[i]);
@@ -779,7 +1123,7 @@ static int double_pendulum_energy_and_path_pinv_core(const double *S, double *S_
     status = f.rank < 2 ? DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = double_pendulum_energy_and_path_sigma_min(S, &f);

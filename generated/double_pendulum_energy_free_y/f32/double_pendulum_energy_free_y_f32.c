@@ -11,8 +11,7 @@
 #error "build double_pendulum_energy_free_y_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ---- */
 
 typedef union {
     float value;
@@ -236,6 +235,13 @@ static double_pendulum_energy_free_y_f32_pair double_pendulum_energy_free_y_f32_
 }
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float double_pendulum_energy_free_y_f32_power(int k)
 {
@@ -248,6 +254,9 @@ static float double_pendulum_energy_free_y_f32_power(int k)
 static float double_pendulum_energy_free_y_f32_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * double_pendulum_energy_free_y_f32_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= double_pendulum_energy_free_y_f32_power(127);
         k -= 127;
@@ -279,6 +288,12 @@ static int double_pendulum_energy_free_y_f32_exponent(uint32_t magnitude)
         lift = 32;
     }
     return (int)(magnitude >> 23) - 127 - lift;
+}
+
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int double_pendulum_energy_free_y_f32_within(float x, uint32_t low, uint32_t high)
+{
+    return (double_pendulum_energy_free_y_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -509,12 +524,6 @@ static int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S, float *
         S_pinv[j] = answer[j];
     }
     return status;
-}
-
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_energy_free_y_f32_within(float x, uint32_t low, uint32_t high)
-{
-    return (double_pendulum_energy_free_y_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)

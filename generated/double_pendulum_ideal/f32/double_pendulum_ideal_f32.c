@@ -11,8 +11,7 @@
 #error "build double_pendulum_ideal_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     float value;
@@ -236,6 +235,13 @@ static double_pendulum_ideal_f32_pair double_pendulum_ideal_f32_sincos(float x)
 }
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_F32_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float double_pendulum_ideal_f32_power(int k)
 {
@@ -248,6 +254,9 @@ static float double_pendulum_ideal_f32_power(int k)
 static float double_pendulum_ideal_f32_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * double_pendulum_ideal_f32_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= double_pendulum_ideal_f32_power(127);
         k -= 127;
@@ -286,180 +295,420 @@ static float double_pendulum_ideal_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-static float double_pendulum_ideal_f32_dot(const float *a, const float *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int double_pendulum_ideal_f32_within(float x, uint32_t low, uint32_t high)
 {
-    float sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (double_pendulum_ideal_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void double_pendulum_ideal_f32_rotate(float *a, float *b, int n, float s, float h)
+static void double_pendulum_ideal_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        const float y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 2; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void double_pendulum_ideal_f32_swap(float *a, float *b, int n)
+static float double_pendulum_ideal_f32_inner(const float *a, const float *b)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        a[i] = b[i];
-        b[i] = x;
-    }
-}
-
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
-   Returns the sweeps it took, or 0 if 5 did not do. */
-static int double_pendulum_ideal_f32_jacobi(float *v, int length, float *w, int width, int count, float *sigma)
-{
-    float floor_norm = 0.0f;
-    int sweep, i, j;
-    for (i = 0; i < count; ++i) {
-        const float square = double_pendulum_ideal_f32_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = double_pendulum_ideal_f32_sqrt(square);
-    }
-    floor_norm = 1.1920929e-7f * double_pendulum_ideal_f32_sqrt(floor_norm);
-    for (sweep = 1; sweep <= 5; ++sweep) {
-        int turned = 0;
-        for (i = 0; i < count; ++i) {
-            float *const a = v + length * i;
-            int top = i;
-            for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
-            }
-            if (top != i) {
-                const float norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                double_pendulum_ideal_f32_swap(a, v + length * top, length);
-                double_pendulum_ideal_f32_swap(w + width * i, w + width * top, width);
-            }
-            for (j = i + 1; j < count; ++j) {
-                float *const b = v + length * j;
-                float inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = double_pendulum_ideal_f32_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (double_pendulum_ideal_f32_abs(inner) <= 8.4293696e-8f * product) {
-                    continue;
-                }
-                if (double_pendulum_ideal_f32_abs(inner) > 3.5762787e-7f * product) { /* more than rounding can bring back */
-                    turned = 1;
-                }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0f * inner);
-                if (double_pendulum_ideal_f32_abs(zeta) > 2896.3093f) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5f / zeta;
-                } else {
-                    t = 1.0f / (double_pendulum_ideal_f32_abs(zeta) + double_pendulum_ideal_f32_sqrt(1.0f + zeta * zeta));
-                    t = zeta < 0.0f ? -t : t;
-                }
-                c = 1.0f / double_pendulum_ideal_f32_sqrt(1.0f + t * t);
-                s = c * t;
-                h = s / (1.0f + c);
-                double_pendulum_ideal_f32_rotate(a, b, length, s, h);
-                double_pendulum_ideal_f32_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = double_pendulum_ideal_f32_sqrt(double_pendulum_ideal_f32_dot(a, a, length));
-                sigma[j] = double_pendulum_ideal_f32_sqrt(double_pendulum_ideal_f32_dot(b, b, length));
-            }
-        }
-        if (!turned) {
-            return sweep;
-        }
-    }
-    return 0;
+    return a[0] * b[0] + a[1] * b[1];
 }
 
 typedef struct {
-    float S[4];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[2];   /* -16384 where the row counts as zero */
-    float left[4];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    float right[4]; /* one of them orthonormal, */
-    float sigma[2];     /* the other of these lengths, largest first */
+    float lower[1]; /* L below its unit diagonal, row by row */
+    float inverse[2]; /* 1 / D */
+} double_pendulum_ideal_f32_normal;
+
+/* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendulum_ideal_f32_normal *f)
+{
+    const float g_0_0 = double_pendulum_ideal_f32_inner(B, B);
+    const float g_1_1 = double_pendulum_ideal_f32_inner(B + 2, B + 2);
+    const float g_1_0 = double_pendulum_ideal_f32_inner(B + 2, B);
+    float d_0, i_0;
+    float d_1, i_1;
+    float v_1_0, l_1_0, n_1_0;
+    float bound;
+    if (!double_pendulum_ideal_f32_within(g_0_0, 87, 167) || !double_pendulum_ideal_f32_within(g_1_1, 87, 167)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0f / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0f / d_1;
+    n_1_0 = double_pendulum_ideal_f32_abs(l_1_0);
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    if (!(bound <= 41285.094f)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->lower[0] = l_1_0;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void double_pendulum_ideal_f32_normal_solve(const double_pendulum_ideal_f32_normal *f, const float *r, float *w)
+{
+    const float a_0 = r[0];
+    const float a_1 = r[1] - f->lower[0] * a_0;
+    const float b_1 = f->inverse[1] * a_1;
+    const float b_0 = f->inverse[0] * a_0 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    float P[4];
+    float L[4];
+    float square[2];  /* squared length of the k-th pivot */
+    float inverse[2]; /* its inverse */
+    int order[2];
+    float total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} double_pendulum_ideal_f32_qr;
+
+/* rest -= along pivot, its squared length. */
+static float double_pendulum_ideal_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+{
+    int j;
+    for (j = 0; j < 2; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return double_pendulum_ideal_f32_inner(rest, rest);
+}
+
+static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_ideal_f32_qr *f)
+{
+    float left[2]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 4; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 2; ++i) {
+        left[i] = double_pendulum_ideal_f32_inner(B + 2 * i, B + 2 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 2; ++k) {
+        uint32_t best = double_pendulum_ideal_f32_magnitude(left[f->order[k]]);
+        const float *pivot;
+        float square, inverse;
+        int at = k;
+        for (i = k + 1; i < 2; ++i) {
+            const uint32_t other = double_pendulum_ideal_f32_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 2 * i;
+        square = left[i];
+        f->L[2 * i + k] = 1.0f;
+        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0f / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 2; ++i) {
+            const int row = f->order[i];
+            float *const rest = f->P + 2 * row;
+            const float along = double_pendulum_ideal_f32_inner(pivot, rest) * inverse;
+            f->L[2 * row + k] = along;
+            left[row] = double_pendulum_ideal_f32_take_out(rest, pivot, along);
+        }
+    }
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f32_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const float *const row_1 = f->L + 2 * f->order[1];
+    float n_1_0;
+    float bound;
+    float total = f->total;
+    if (f->steps < 2) {
+        return 0;
+    }
+    n_1_0 = double_pendulum_ideal_f32_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    return bound * total < 615726500000.0f;
+}
+
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+   (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
+static void double_pendulum_ideal_f32_triangle(float *t, int first, float *sigma)
+{
+    const int second = 1 - first;
+    const float f = t[first];
+    const float g = t[second];
+    const float h = t[2 + second];
+    const float gap = h < f ? (f - h) / f : 0.0f;
+    const float m = g / f;
+    const float sum = 2.0f - gap;
+    const float s = double_pendulum_ideal_f32_sqrt(sum * sum + m * m);
+    const float r = double_pendulum_ideal_f32_sqrt(gap * gap + m * m);
+    const float a = 0.5f * (s + r);
+    float tangent = 0.0f;
+    float c, w;
+    if (r > 0.0f) {
+        tangent = (m / (s + sum) + m / (r + gap)) * (1.0f + a);
+    }
+    w = double_pendulum_ideal_f32_sqrt(tangent * tangent + 4.0f);
+    c = 2.0f / w;
+    w = tangent / w;
+    sigma[0] = f * a;
+    sigma[1] = h / a;
+    t[first] = c;
+    t[second] = w;
+    t[2 + first] = -w;
+    t[2 + second] = c;
+}
+
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int double_pendulum_ideal_f32_svd(const double_pendulum_ideal_f32_qr *f, float *left, float *sigma)
+{
+    int i, k;
+    for (k = 0; k < 4; ++k) {
+        left[k] = 0.0f;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const float length = double_pendulum_ideal_f32_sqrt(f->square[k]);
+        for (i = k; i < 2; ++i) {
+            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 2; ++k) {
+        sigma[k] = 0.0f;
+    }
+    if (f->steps > 0) {
+        double_pendulum_ideal_f32_triangle(left, f->order[0], sigma);
+    }
+    return 1;
+}
+
+typedef struct {
+    float B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[2];   /* -16384 where a row counts as zero */
+    double_pendulum_ideal_f32_normal normal;
+    double_pendulum_ideal_f32_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    float left[4];
+    float right[4];
+    float sigma[2];
+    float gain[2];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    float least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } double_pendulum_ideal_f32_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void double_pendulum_ideal_f32_unscale_rows(double_pendulum_ideal_f32_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void double_pendulum_ideal_f32_undo_scaling(double_pendulum_ideal_f32_factors *f, int top)
+{
+    float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
+    float corner[2], weight[2], e[2], x[2];
+    int row[2], column[2];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 2; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 2; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[2 * k + i] = exponent == -16384 ? 0.0f :
+                double_pendulum_ideal_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint32_t best = 0;
+        float *v;
+        float square = 0.0f;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint32_t largest = double_pendulum_ideal_f32_largest(F + 2 * column[j] + k, 2 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0f;
+        corner[k] = 0.0f;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = double_pendulum_ideal_f32_exponent(best);
+        v = F + 2 * j;
+        for (i = k; i < 2; ++i) {
+            v[i] = double_pendulum_ideal_f32_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = double_pendulum_ideal_f32_sqrt(square);
+        corner[k] = double_pendulum_ideal_f32_shift(v[k] > 0.0f ? -square : square, unit);
+        v[k] += v[k] > 0.0f ? square : -square;
+        weight[k] = 1.0f / (square * double_pendulum_ideal_f32_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            float *const other = F + 2 * column[j];
+            float along = 0.0f;
+            for (i = k; i < 2; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 2; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 2; ++i) {
+        x[i] = 0.0f;
+    }
+    for (i = 0; i < 2; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 2; ++j) {
+            e[j] = i == j ? 1.0f : 0.0f;
+        }
+        for (k = 0; k < rank; ++k) {
+            const float *const v = F + 2 * column[k];
+            float along = 0.0f;
+            for (j = k; j < 2; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 2; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            float sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[2 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0f || corner[k] > 0.0f ? sum / corner[k] : 0.0f;
+            f->left[2 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0f;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void double_pendulum_ideal_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
-        if (f->exponent[i] != -16384) {
+        const float *const row = S + 2 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+            double_pendulum_ideal_f32_spread(row, double_pendulum_ideal_f32_power(-exponent[i]), B + 2 * i);
+        } else {
+            float shifted[2];
             for (j = 0; j < 2; ++j) {
-                f->S[2 * i + j] = double_pendulum_ideal_f32_shift(f->S[2 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0f : double_pendulum_ideal_f32_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            double_pendulum_ideal_f32_spread(shifted, 1.0f, B + 2 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int double_pendulum_ideal_f32_decompose(double_pendulum_ideal_f32_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int double_pendulum_ideal_f32_values(double_pendulum_ideal_f32_factors *f, float *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 4; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 2; ++j) {
-            f->left[2 * i + j] = i == j ? 1.0f : 0.0f;
-        }
-    }
-    sweeps = double_pendulum_ideal_f32_jacobi(f->right, 2, f->left, 2, 2, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = double_pendulum_ideal_f32_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int double_pendulum_ideal_f32_undo_scaling(double_pendulum_ideal_f32_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void double_pendulum_ideal_f32_vectors(double_pendulum_ideal_f32_factors *f, const float *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
+        float *const near = f->left + 2 * k;
+        float *const far = f->right + 2 * k;
+        f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 2; ++i) {
-            f->right[2 * k + i] /= f->sigma[k];
+            near[i] = u[2 * k + i];
         }
-        for (i = 0; i < 2; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[2 * k + i] *= f->sigma[k];
-                f->left[2 * k + i] = double_pendulum_ideal_f32_shift(f->left[2 * k + i], f->exponent[i] - top);
+        for (j = 0; j < 2; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 2; ++i) {
+            for (j = 0; j < 2; ++j) {
+                far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (j = 0; j < 2; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    double_pendulum_ideal_f32_unscale_rows(f, top);
-    sweeps = double_pendulum_ideal_f32_jacobi(f->left, 2, f->right, 2, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_ideal_f32_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_svd(const float *S, double_pendulum_ideal_f32_factors *f, int top, int bottom)
+{
+    float u[4];
+    int i;
+    f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD;
+    if (!double_pendulum_ideal_f32_values(f, u)) {
+        return DOUBLE_PENDULUM_IDEAL_F32_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 2; ++i) {
+        f->rank += f->sigma[i] > 2.3841858e-7f * f->sigma[0];
+    }
+    f->direct = f->rank == 2;
+    if (!f->direct) {
+        double_pendulum_ideal_f32_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            double_pendulum_ideal_f32_undo_scaling(f, top);
+            for (i = 0; i < 2; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            double_pendulum_ideal_f32_scale(S, f->exponent, f->B);
+        }
+    }
+    return DOUBLE_PENDULUM_IDEAL_F32_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_ideal_f32_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_ideal_f32_word word;
         word.bits = double_pendulum_ideal_f32_largest(S + 2 * i, 2);
@@ -475,51 +724,45 @@ static int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_i
         }
     }
     f->uniform = active == 2 && top == bottom;
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 2; ++j) {
-            f->S[2 * i + j] =
-                f->exponent[i] == -16384 ? 0.0f : double_pendulum_ideal_f32_shift(S[2 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!double_pendulum_ideal_f32_decompose(f)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NOT_CONVERGED;
-    }
-    f->least = f->sigma[1];
-    for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 2.3841858e-7f * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!double_pendulum_ideal_f32_undo_scaling(f, top)) {
-            return DOUBLE_PENDULUM_IDEAL_F32_NOT_CONVERGED;
+    double_pendulum_ideal_f32_scale(S, f->exponent, f->B);
+    if (active >= 2) {
+        int known = 1;
+        f->rank = 2;
+        f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL;
+        if (after_normal || double_pendulum_ideal_f32_normal_factor(f->B, &f->normal) != 1) {
+            f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_QR;
+            f->direct = 1;
+            double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
+            known = double_pendulum_ideal_f32_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return DOUBLE_PENDULUM_IDEAL_F32_OK;
+        }
+        f->direct = 0;
+    } else {
+        double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
     }
-    return DOUBLE_PENDULUM_IDEAL_F32_OK;
+    return double_pendulum_ideal_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static float double_pendulum_ideal_f32_sigma_min(const float *S, const double_pendulum_ideal_f32_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static DOUBLE_PENDULUM_IDEAL_F32_APART float double_pendulum_ideal_f32_sigma_min(const float *S, double_pendulum_ideal_f32_factors *f)
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
-    float v[4];
-    float sigma[2];
-    float least;
+    float u[4];
     int i;
-    if (f->uniform) {
-        return double_pendulum_ideal_f32_shift(f->least, top);
+    if (f->path != DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        double_pendulum_ideal_f32_scale(S, f->exponent, f->B);
+        double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
+        (void)double_pendulum_ideal_f32_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 4; ++i) {
-        v[i] = double_pendulum_ideal_f32_shift(S[i], -top);
-    }
-    (void)double_pendulum_ideal_f32_jacobi(v, 2, v, 0, 2, sigma);
-    least = sigma[0];
-    for (i = 1; i < 2; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return double_pendulum_ideal_f32_shift(least, top);
+    return double_pendulum_ideal_f32_shift(f->sigma[1], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -601,35 +844,80 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
     return met;
 }
 
-/* x = S+ r. */
-static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_factors *f, const float *r, float *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    int k, i, j;
+    const float *const p_0 = f->P + 2 * f->order[0];
+    const float w_0 = r[f->order[0]];
+    const float *const row_1 = f->L + 2 * f->order[1];
+    const float *const p_1 = f->P + 2 * f->order[1];
+    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
+    float c_0 = w_0 * f->inverse[0];
+    float c_1 = w_1 * f->inverse[1];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
+        }
+        return;
+    }
+    for (j = 0; j < 2; ++j) {
+        x[j] = c_1 * p_1[j];
+    }
+    c_0 = (w_0 - double_pendulum_ideal_f32_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 2; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+{
+    float w[2];
+    int j;
+    double_pendulum_ideal_f32_normal_solve(f, r, w);
+    for (j = 0; j < 2; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 2];
+    }
+}
+
+
+/* x = S+ r, from the step of the ladder that held. */
+static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_factors *f, const float *r, float *x, int careful)
+{
+    int i, j, k;
+    if (f->path == DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL) {
+        double_pendulum_ideal_f32_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        double_pendulum_ideal_f32_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 2; ++j) {
         x[j] = 0.0f;
     }
     for (k = 0; k < f->rank; ++k) {
         const float *const left = f->left + 2 * k;
-        const float *const right = f->right + 2 * k;
         float along = left[0] * r[0];
         for (i = 1; i < 2; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0f) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 2; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[2 * k + j];
         }
     }
 }
 
-static int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_ideal_f32_info *info)
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_ideal_f32_info *info)
 {
     double_pendulum_ideal_f32_factors f;
     float unit[2], x[2], answer[4];
     int status, i, j;
-    status = double_pendulum_ideal_f32_factorise(S, &f);
+    status = double_pendulum_ideal_f32_factorise(S, &f, 1);
     if (status < 0) {
         return double_pendulum_ideal_f32_refuse(status, info);
     }
@@ -639,7 +927,7 @@ static int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, do
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0f;
-        double_pendulum_ideal_f32_apply(&f, unit, x);
+        double_pendulum_ideal_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
         for (j = 0; j < 2; ++j) {
             answer[2 * j + i] = zero_row ? 0.0f : double_pendulum_ideal_f32_shift(x[j], -f.exponent[i]);
@@ -651,7 +939,7 @@ static int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, do
     status = f.rank < 2 ? DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_IDEAL_F32_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = double_pendulum_ideal_f32_sigma_min(S, &f);
@@ -665,8 +953,7 @@ static int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, do
 
 typedef double_pendulum_ideal_f32_info double_pendulum_ideal_f32_reaction_info;
 
-/* ---- pseudo-inverse of S, 1 x 1, row-major: one row, S+ = s^T / (s s^T) ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 1 x 1, row-major: one row, S+ = s^T / (s s^T) ---- */
 
 typedef union {
     float value;
@@ -695,6 +982,13 @@ static uint32_t double_pendulum_ideal_f32_reaction_largest(const float *x, int n
     return largest;
 }
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_F32_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float double_pendulum_ideal_f32_reaction_power(int k)
 {
@@ -707,6 +1001,9 @@ static float double_pendulum_ideal_f32_reaction_power(int k)
 static float double_pendulum_ideal_f32_reaction_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * double_pendulum_ideal_f32_reaction_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= double_pendulum_ideal_f32_reaction_power(127);
         k -= 127;
@@ -738,6 +1035,12 @@ static int double_pendulum_ideal_f32_reaction_exponent(uint32_t magnitude)
         lift = 32;
     }
     return (int)(magnitude >> 23) - 127 - lift;
+}
+
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int double_pendulum_ideal_f32_reaction_within(float x, uint32_t low, uint32_t high)
+{
+    return (double_pendulum_ideal_f32_reaction_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -944,12 +1247,6 @@ static int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const
         tau[j] = answer[j];
     }
     return status;
-}
-
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_ideal_f32_reaction_within(float x, uint32_t low, uint32_t high)
-{
-    return (double_pendulum_ideal_f32_reaction_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)

@@ -11,8 +11,7 @@
 #error "build planar_arm_3r_damped_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 3, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 2 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     float value;
@@ -227,6 +226,13 @@ static planar_arm_3r_damped_f32_pair planar_arm_3r_damped_f32_sincos(float x)
 }
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_DAMPED_F32_APART __attribute__((noinline))
+#else
+#define PLANAR_ARM_3R_DAMPED_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float planar_arm_3r_damped_f32_power(int k)
 {
@@ -239,6 +245,9 @@ static float planar_arm_3r_damped_f32_power(int k)
 static float planar_arm_3r_damped_f32_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * planar_arm_3r_damped_f32_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= planar_arm_3r_damped_f32_power(127);
         k -= 127;
@@ -277,180 +286,429 @@ static float planar_arm_3r_damped_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-static float planar_arm_3r_damped_f32_dot(const float *a, const float *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int planar_arm_3r_damped_f32_within(float x, uint32_t low, uint32_t high)
 {
-    float sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (planar_arm_3r_damped_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void planar_arm_3r_damped_f32_rotate(float *a, float *b, int n, float s, float h)
+static void planar_arm_3r_damped_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        const float y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 3; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void planar_arm_3r_damped_f32_swap(float *a, float *b, int n)
+/* The inverse of spreading, without a factor. */
+static void planar_arm_3r_damped_f32_gather(const float *restrict w, float *restrict v)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        a[i] = b[i];
-        b[i] = x;
+    int k;
+    for (k = 0; k < 3; ++k) {
+        v[k] = w[k];
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
-   Returns the sweeps it took, or 0 if 5 did not do. */
-static int planar_arm_3r_damped_f32_jacobi(float *v, int length, float *w, int width, int count, float *sigma)
+static float planar_arm_3r_damped_f32_inner(const float *a, const float *b)
 {
-    float floor_norm = 0.0f;
-    int sweep, i, j;
-    for (i = 0; i < count; ++i) {
-        const float square = planar_arm_3r_damped_f32_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = planar_arm_3r_damped_f32_sqrt(square);
-    }
-    floor_norm = 1.1920929e-7f * planar_arm_3r_damped_f32_sqrt(floor_norm);
-    for (sweep = 1; sweep <= 5; ++sweep) {
-        int turned = 0;
-        for (i = 0; i < count; ++i) {
-            float *const a = v + length * i;
-            int top = i;
-            for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
-            }
-            if (top != i) {
-                const float norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                planar_arm_3r_damped_f32_swap(a, v + length * top, length);
-                planar_arm_3r_damped_f32_swap(w + width * i, w + width * top, width);
-            }
-            for (j = i + 1; j < count; ++j) {
-                float *const b = v + length * j;
-                float inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = planar_arm_3r_damped_f32_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (planar_arm_3r_damped_f32_abs(inner) <= 1.0323827e-7f * product) {
-                    continue;
-                }
-                if (planar_arm_3r_damped_f32_abs(inner) > 4.172325e-7f * product) { /* more than rounding can bring back */
-                    turned = 1;
-                }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0f * inner);
-                if (planar_arm_3r_damped_f32_abs(zeta) > 2896.3093f) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5f / zeta;
-                } else {
-                    t = 1.0f / (planar_arm_3r_damped_f32_abs(zeta) + planar_arm_3r_damped_f32_sqrt(1.0f + zeta * zeta));
-                    t = zeta < 0.0f ? -t : t;
-                }
-                c = 1.0f / planar_arm_3r_damped_f32_sqrt(1.0f + t * t);
-                s = c * t;
-                h = s / (1.0f + c);
-                planar_arm_3r_damped_f32_rotate(a, b, length, s, h);
-                planar_arm_3r_damped_f32_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = planar_arm_3r_damped_f32_sqrt(planar_arm_3r_damped_f32_dot(a, a, length));
-                sigma[j] = planar_arm_3r_damped_f32_sqrt(planar_arm_3r_damped_f32_dot(b, b, length));
-            }
-        }
-        if (!turned) {
-            return sweep;
-        }
-    }
-    return 0;
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 typedef struct {
-    float S[6];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[2];   /* -16384 where the row counts as zero */
-    float left[4];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    float right[6]; /* one of them orthonormal, */
-    float sigma[2];     /* the other of these lengths, largest first */
+    float lower[1]; /* L below its unit diagonal, row by row */
+    float inverse[2]; /* 1 / D */
+} planar_arm_3r_damped_f32_normal;
+
+/* Factorises B B^T, B [2*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2.9e-06, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int planar_arm_3r_damped_f32_normal_factor(const float *B, planar_arm_3r_damped_f32_normal *f)
+{
+    const float g_0_0 = planar_arm_3r_damped_f32_inner(B, B);
+    const float g_1_1 = planar_arm_3r_damped_f32_inner(B + 3, B + 3);
+    const float g_1_0 = planar_arm_3r_damped_f32_inner(B + 3, B);
+    float d_0, i_0;
+    float d_1, i_1;
+    float v_1_0, l_1_0, n_1_0;
+    float bound;
+    if (!planar_arm_3r_damped_f32_within(g_0_0, 87, 167) || !planar_arm_3r_damped_f32_within(g_1_1, 87, 167)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0f / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0f / d_1;
+    n_1_0 = planar_arm_3r_damped_f32_abs(l_1_0);
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    if (!(bound <= 41285.094f)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->lower[0] = l_1_0;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void planar_arm_3r_damped_f32_normal_solve(const planar_arm_3r_damped_f32_normal *f, const float *r, float *w)
+{
+    const float a_0 = r[0];
+    const float a_1 = r[1] - f->lower[0] * a_0;
+    const float b_1 = f->inverse[1] * a_1;
+    const float b_0 = f->inverse[0] * a_0 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    float P[6];
+    float L[4];
+    float square[2];  /* squared length of the k-th pivot */
+    float inverse[2]; /* its inverse */
+    int order[2];
+    float total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} planar_arm_3r_damped_f32_qr;
+
+/* rest -= along pivot, its squared length. */
+static float planar_arm_3r_damped_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+{
+    int j;
+    for (j = 0; j < 3; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return planar_arm_3r_damped_f32_inner(rest, rest);
+}
+
+static void planar_arm_3r_damped_f32_qr_factor(const float *B, planar_arm_3r_damped_f32_qr *f)
+{
+    float left[2]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 6; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 2; ++i) {
+        left[i] = planar_arm_3r_damped_f32_inner(B + 3 * i, B + 3 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 2; ++k) {
+        uint32_t best = planar_arm_3r_damped_f32_magnitude(left[f->order[k]]);
+        const float *pivot;
+        float square, inverse;
+        int at = k;
+        for (i = k + 1; i < 2; ++i) {
+            const uint32_t other = planar_arm_3r_damped_f32_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 3 * i;
+        square = left[i];
+        f->L[2 * i + k] = 1.0f;
+        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0f / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 2; ++i) {
+            const int row = f->order[i];
+            float *const rest = f->P + 3 * row;
+            const float along = planar_arm_3r_damped_f32_inner(pivot, rest) * inverse;
+            f->L[2 * row + k] = along;
+            left[row] = planar_arm_3r_damped_f32_take_out(rest, pivot, along);
+        }
+    }
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int planar_arm_3r_damped_f32_qr_certified(const planar_arm_3r_damped_f32_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const float *const row_1 = f->L + 2 * f->order[1];
+    float n_1_0;
+    float bound;
+    float total = f->total;
+    if (f->steps < 2) {
+        return 0;
+    }
+    n_1_0 = planar_arm_3r_damped_f32_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    return bound * total < 273656230000.0f;
+}
+
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+   (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
+static void planar_arm_3r_damped_f32_triangle(float *t, int first, float *sigma)
+{
+    const int second = 1 - first;
+    const float f = t[first];
+    const float g = t[second];
+    const float h = t[2 + second];
+    const float gap = h < f ? (f - h) / f : 0.0f;
+    const float m = g / f;
+    const float sum = 2.0f - gap;
+    const float s = planar_arm_3r_damped_f32_sqrt(sum * sum + m * m);
+    const float r = planar_arm_3r_damped_f32_sqrt(gap * gap + m * m);
+    const float a = 0.5f * (s + r);
+    float tangent = 0.0f;
+    float c, w;
+    if (r > 0.0f) {
+        tangent = (m / (s + sum) + m / (r + gap)) * (1.0f + a);
+    }
+    w = planar_arm_3r_damped_f32_sqrt(tangent * tangent + 4.0f);
+    c = 2.0f / w;
+    w = tangent / w;
+    sigma[0] = f * a;
+    sigma[1] = h / a;
+    t[first] = c;
+    t[second] = w;
+    t[2 + first] = -w;
+    t[2 + second] = c;
+}
+
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int planar_arm_3r_damped_f32_svd(const planar_arm_3r_damped_f32_qr *f, float *left, float *sigma)
+{
+    int i, k;
+    for (k = 0; k < 4; ++k) {
+        left[k] = 0.0f;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const float length = planar_arm_3r_damped_f32_sqrt(f->square[k]);
+        for (i = k; i < 2; ++i) {
+            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 2; ++k) {
+        sigma[k] = 0.0f;
+    }
+    if (f->steps > 0) {
+        planar_arm_3r_damped_f32_triangle(left, f->order[0], sigma);
+    }
+    return 1;
+}
+
+typedef struct {
+    float B[6];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[2];   /* -16384 where a row counts as zero */
+    planar_arm_3r_damped_f32_normal normal;
+    planar_arm_3r_damped_f32_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    float left[4];
+    float right[6];
+    float sigma[2];
+    float gain[2];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    float least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } planar_arm_3r_damped_f32_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void planar_arm_3r_damped_f32_unscale_rows(planar_arm_3r_damped_f32_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void planar_arm_3r_damped_f32_undo_scaling(planar_arm_3r_damped_f32_factors *f, int top)
+{
+    float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
+    float corner[2], weight[2], e[2], x[2];
+    int row[2], column[2];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 2; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 2; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[2 * k + i] = exponent == -16384 ? 0.0f :
+                planar_arm_3r_damped_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint32_t best = 0;
+        float *v;
+        float square = 0.0f;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint32_t largest = planar_arm_3r_damped_f32_largest(F + 2 * column[j] + k, 2 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0f;
+        corner[k] = 0.0f;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = planar_arm_3r_damped_f32_exponent(best);
+        v = F + 2 * j;
+        for (i = k; i < 2; ++i) {
+            v[i] = planar_arm_3r_damped_f32_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = planar_arm_3r_damped_f32_sqrt(square);
+        corner[k] = planar_arm_3r_damped_f32_shift(v[k] > 0.0f ? -square : square, unit);
+        v[k] += v[k] > 0.0f ? square : -square;
+        weight[k] = 1.0f / (square * planar_arm_3r_damped_f32_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            float *const other = F + 2 * column[j];
+            float along = 0.0f;
+            for (i = k; i < 2; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 2; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 2; ++i) {
+        x[i] = 0.0f;
+    }
+    for (i = 0; i < 2; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 2; ++j) {
+            e[j] = i == j ? 1.0f : 0.0f;
+        }
+        for (k = 0; k < rank; ++k) {
+            const float *const v = F + 2 * column[k];
+            float along = 0.0f;
+            for (j = k; j < 2; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 2; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            float sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[2 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0f || corner[k] > 0.0f ? sum / corner[k] : 0.0f;
+            f->left[2 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0f;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void planar_arm_3r_damped_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
-        if (f->exponent[i] != -16384) {
+        const float *const row = S + 3 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+            planar_arm_3r_damped_f32_spread(row, planar_arm_3r_damped_f32_power(-exponent[i]), B + 3 * i);
+        } else {
+            float shifted[3];
             for (j = 0; j < 3; ++j) {
-                f->S[3 * i + j] = planar_arm_3r_damped_f32_shift(f->S[3 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0f : planar_arm_3r_damped_f32_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            planar_arm_3r_damped_f32_spread(shifted, 1.0f, B + 3 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int planar_arm_3r_damped_f32_decompose(planar_arm_3r_damped_f32_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int planar_arm_3r_damped_f32_values(planar_arm_3r_damped_f32_factors *f, float *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 6; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 2; ++j) {
-            f->left[2 * i + j] = i == j ? 1.0f : 0.0f;
-        }
-    }
-    sweeps = planar_arm_3r_damped_f32_jacobi(f->right, 3, f->left, 2, 2, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = planar_arm_3r_damped_f32_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int planar_arm_3r_damped_f32_undo_scaling(planar_arm_3r_damped_f32_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void planar_arm_3r_damped_f32_vectors(planar_arm_3r_damped_f32_factors *f, const float *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
-        for (i = 0; i < 3; ++i) {
-            f->right[3 * k + i] /= f->sigma[k];
-        }
+        float *const near = f->left + 2 * k;
+        float *const far = f->right + 3 * k;
+        f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 2; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[2 * k + i] *= f->sigma[k];
-                f->left[2 * k + i] = planar_arm_3r_damped_f32_shift(f->left[2 * k + i], f->exponent[i] - top);
+            near[i] = u[2 * k + i];
+        }
+        for (j = 0; j < 3; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 2; ++i) {
+            for (j = 0; j < 3; ++j) {
+                far[j] += near[i] * f->B[3 * i + j];
             }
         }
+        for (j = 0; j < 3; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    planar_arm_3r_damped_f32_unscale_rows(f, top);
-    sweeps = planar_arm_3r_damped_f32_jacobi(f->left, 2, f->right, 3, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int planar_arm_3r_damped_f32_factorise(const float *S, planar_arm_3r_damped_f32_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static PLANAR_ARM_3R_DAMPED_F32_APART int planar_arm_3r_damped_f32_factorise_svd(const float *S, planar_arm_3r_damped_f32_factors *f, int top, int bottom)
+{
+    float u[4];
+    int i;
+    f->path = PLANAR_ARM_3R_DAMPED_F32_PATH_SVD;
+    if (!planar_arm_3r_damped_f32_values(f, u)) {
+        return PLANAR_ARM_3R_DAMPED_F32_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 2; ++i) {
+        f->rank += f->sigma[i] > 3.5762787e-7f * f->sigma[0];
+    }
+    f->direct = f->rank == 2;
+    if (!f->direct) {
+        planar_arm_3r_damped_f32_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            planar_arm_3r_damped_f32_undo_scaling(f, top);
+            for (i = 0; i < 2; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            planar_arm_3r_damped_f32_scale(S, f->exponent, f->B);
+        }
+    }
+    return PLANAR_ARM_3R_DAMPED_F32_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static PLANAR_ARM_3R_DAMPED_F32_APART int planar_arm_3r_damped_f32_factorise(const float *S, planar_arm_3r_damped_f32_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 2; ++i) {
         planar_arm_3r_damped_f32_word word;
         word.bits = planar_arm_3r_damped_f32_largest(S + 3 * i, 3);
@@ -466,51 +724,45 @@ static int planar_arm_3r_damped_f32_factorise(const float *S, planar_arm_3r_damp
         }
     }
     f->uniform = active == 2 && top == bottom;
-    for (i = 0; i < 2; ++i) {
-        for (j = 0; j < 3; ++j) {
-            f->S[3 * i + j] =
-                f->exponent[i] == -16384 ? 0.0f : planar_arm_3r_damped_f32_shift(S[3 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!planar_arm_3r_damped_f32_decompose(f)) {
-        return PLANAR_ARM_3R_DAMPED_F32_NOT_CONVERGED;
-    }
-    f->least = f->sigma[1];
-    for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 3.5762787e-7f * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!planar_arm_3r_damped_f32_undo_scaling(f, top)) {
-            return PLANAR_ARM_3R_DAMPED_F32_NOT_CONVERGED;
+    planar_arm_3r_damped_f32_scale(S, f->exponent, f->B);
+    if (active >= 2) {
+        int known = 1;
+        f->rank = 2;
+        f->path = PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL;
+        if (after_normal || planar_arm_3r_damped_f32_normal_factor(f->B, &f->normal) != 1) {
+            f->path = PLANAR_ARM_3R_DAMPED_F32_PATH_QR;
+            f->direct = 1;
+            planar_arm_3r_damped_f32_qr_factor(f->B, &f->qr);
+            known = planar_arm_3r_damped_f32_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return PLANAR_ARM_3R_DAMPED_F32_OK;
+        }
+        f->direct = 0;
+    } else {
+        planar_arm_3r_damped_f32_qr_factor(f->B, &f->qr);
     }
-    return PLANAR_ARM_3R_DAMPED_F32_OK;
+    return planar_arm_3r_damped_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static float planar_arm_3r_damped_f32_sigma_min(const float *S, const planar_arm_3r_damped_f32_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static PLANAR_ARM_3R_DAMPED_F32_APART float planar_arm_3r_damped_f32_sigma_min(const float *S, planar_arm_3r_damped_f32_factors *f)
 {
     const uint32_t magnitude = planar_arm_3r_damped_f32_largest(S, 6);
     const int top = magnitude == 0 ? 0 : planar_arm_3r_damped_f32_exponent(magnitude);
-    float v[6];
-    float sigma[2];
-    float least;
+    float u[4];
     int i;
-    if (f->uniform) {
-        return planar_arm_3r_damped_f32_shift(f->least, top);
+    if (f->path != PLANAR_ARM_3R_DAMPED_F32_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        planar_arm_3r_damped_f32_scale(S, f->exponent, f->B);
+        planar_arm_3r_damped_f32_qr_factor(f->B, &f->qr);
+        (void)planar_arm_3r_damped_f32_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 6; ++i) {
-        v[i] = planar_arm_3r_damped_f32_shift(S[i], -top);
-    }
-    (void)planar_arm_3r_damped_f32_jacobi(v, 3, v, 0, 2, sigma);
-    least = sigma[0];
-    for (i = 1; i < 2; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return planar_arm_3r_damped_f32_shift(least, top);
+    return planar_arm_3r_damped_f32_shift(f->sigma[1], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -592,42 +844,80 @@ static int planar_arm_3r_damped_f32_consistent(const float *S, const float *z, c
     return met;
 }
 
-/* x = S+ r. */
-static void planar_arm_3r_damped_f32_apply(const planar_arm_3r_damped_f32_factors *f, const float *r, float *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void planar_arm_3r_damped_f32_qr_apply(const planar_arm_3r_damped_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    int k, i, j;
+    const float *const p_0 = f->P + 3 * f->order[0];
+    const float w_0 = r[f->order[0]];
+    const float *const row_1 = f->L + 2 * f->order[1];
+    const float *const p_1 = f->P + 3 * f->order[1];
+    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
+    float c_0 = w_0 * f->inverse[0];
+    float c_1 = w_1 * f->inverse[1];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 3; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
+        }
+        return;
+    }
+    for (j = 0; j < 3; ++j) {
+        x[j] = c_1 * p_1[j];
+    }
+    c_0 = (w_0 - planar_arm_3r_damped_f32_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 3; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void planar_arm_3r_damped_f32_normal_apply(const planar_arm_3r_damped_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+{
+    float w[2];
+    int j;
+    planar_arm_3r_damped_f32_normal_solve(f, r, w);
+    for (j = 0; j < 3; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 3];
+    }
+}
+
+/* r = z - B t. */
+static void planar_arm_3r_damped_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+{
+    r[0] = z[0] - planar_arm_3r_damped_f32_inner(B, t);
+    r[1] = z[1] - planar_arm_3r_damped_f32_inner(B + 3, t);
+}
+
+/* x = S+ r, from the step of the ladder that held. */
+static void planar_arm_3r_damped_f32_apply(const planar_arm_3r_damped_f32_factors *f, const float *r, float *x, int careful)
+{
+    int i, j, k;
+    if (f->path == PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL) {
+        planar_arm_3r_damped_f32_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        planar_arm_3r_damped_f32_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 3; ++j) {
         x[j] = 0.0f;
     }
     for (k = 0; k < f->rank; ++k) {
         const float *const left = f->left + 2 * k;
-        const float *const right = f->right + 3 * k;
         float along = left[0] * r[0];
         for (i = 1; i < 2; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0f) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 3; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[3 * k + j];
         }
     }
 }
 
-/* r = z - S t. */
-static void planar_arm_3r_damped_f32_residual(const planar_arm_3r_damped_f32_factors *f, const float *z, const float *t, float *r)
-{
-    int i, j;
-    for (i = 0; i < 2; ++i) {
-        r[i] = z[i];
-        for (j = 0; j < 3; ++j) {
-            r[i] -= f->S[3 * i + j] * t[j];
-        }
-    }
-}
-
-static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_damped_f32_info *info)
+static PLANAR_ARM_3R_DAMPED_F32_APART int planar_arm_3r_damped_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_damped_f32_info *info, int after_normal)
 {
     planar_arm_3r_damped_f32_factors f;
     float zs[2], ys[3], r[2], x[3], answer[3];
@@ -637,7 +927,7 @@ static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, c
     if (planar_arm_3r_damped_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && planar_arm_3r_damped_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
         return planar_arm_3r_damped_f32_refuse(PLANAR_ARM_3R_DAMPED_F32_NONFINITE, info);
     }
-    status = planar_arm_3r_damped_f32_factorise(S, &f);
+    status = planar_arm_3r_damped_f32_factorise(S, &f, after_normal);
     if (status < 0) {
         return planar_arm_3r_damped_f32_refuse(status, info);
     }
@@ -660,8 +950,8 @@ static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, c
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0f : planar_arm_3r_damped_f32_shift(y[j], -unit);
     }
-    planar_arm_3r_damped_f32_residual(&f, zs, ys, r);
-    planar_arm_3r_damped_f32_apply(&f, r, x);
+    planar_arm_3r_damped_f32_residual(f.B, zs, ys, r);
+    planar_arm_3r_damped_f32_apply(&f, r, x, 0);
     for (j = 0; j < 3; ++j) {
         answer[j] = planar_arm_3r_damped_f32_shift(x[j], unit);
         if (y != NULL) {
@@ -671,8 +961,8 @@ static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, c
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     {
-        planar_arm_3r_damped_f32_residual(&f, zs, ys, r);
-        planar_arm_3r_damped_f32_apply(&f, r, x);
+        planar_arm_3r_damped_f32_residual(f.B, zs, ys, r);
+        planar_arm_3r_damped_f32_apply(&f, r, x, 1);
         for (j = 0; j < 3; ++j) {
             answer[j] += planar_arm_3r_damped_f32_shift(x[j], unit);
         }
@@ -688,7 +978,7 @@ static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, c
     }
     if (info != NULL) {
         info->status = status;
-        info->path = PLANAR_ARM_3R_DAMPED_F32_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = planar_arm_3r_damped_f32_sigma_min(S, &f);
@@ -700,12 +990,66 @@ static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, c
     return status;
 }
 
-static int planar_arm_3r_damped_f32_pinv_core(const float *S, float *S_pinv, planar_arm_3r_damped_f32_info *info)
+static PLANAR_ARM_3R_DAMPED_F32_APART void planar_arm_3r_damped_f32_report(const float *S, const float *z, const float *y, const float *tau, planar_arm_3r_damped_f32_info *info)
+{
+    planar_arm_3r_damped_f32_factors f;
+    (void)planar_arm_3r_damped_f32_consistent(S, z, y, tau, &info->residual);
+    f.path = PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL;
+    info->status = PLANAR_ARM_3R_DAMPED_F32_OK;
+    info->path = PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL;
+    info->rank = 2;
+    info->sweeps = 0;
+    info->sigma_min = planar_arm_3r_damped_f32_sigma_min(S, &f);
+}
+
+/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
+   fit ends in a square that is out of range, NaN and infinity too. */
+static int planar_arm_3r_damped_f32_solve_core(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_damped_f32_info *info)
+{
+    planar_arm_3r_damped_f32_normal f;
+    float r[2], x[3], step[3];
+    int held, j;
+    const float *const B = S;
+    held = planar_arm_3r_damped_f32_normal_factor(B, &f);
+    if (held == 1) {
+        if (y == NULL) {
+            planar_arm_3r_damped_f32_normal_apply(&f, B, z, x);
+        } else {
+            float given[3];
+            planar_arm_3r_damped_f32_spread(y, 1.0f, given);
+            planar_arm_3r_damped_f32_residual(B, z, given, r);
+            planar_arm_3r_damped_f32_normal_apply(&f, B, r, x);
+            for (j = 0; j < 3; ++j) {
+                x[j] += given[j];
+            }
+        }
+        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+        planar_arm_3r_damped_f32_residual(B, z, x, r);
+        planar_arm_3r_damped_f32_normal_apply(&f, B, r, step);
+        for (j = 0; j < 3; ++j) {
+            x[j] += step[j];
+        }
+        if (planar_arm_3r_damped_f32_within(planar_arm_3r_damped_f32_inner(x, x), 27, 237)) {
+            if (info != NULL) {
+                float answer[3];
+                planar_arm_3r_damped_f32_gather(x, answer);
+                planar_arm_3r_damped_f32_report(S, z, y, answer, info);
+            }
+            planar_arm_3r_damped_f32_gather(x, tau);
+            return PLANAR_ARM_3R_DAMPED_F32_OK;
+        }
+        held = -1;
+    }
+    return planar_arm_3r_damped_f32_solve_scaled(S, z, y, tau, info, held == 0);
+}
+
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static PLANAR_ARM_3R_DAMPED_F32_APART int planar_arm_3r_damped_f32_pinv_core(const float *S, float *S_pinv, planar_arm_3r_damped_f32_info *info)
 {
     planar_arm_3r_damped_f32_factors f;
     float unit[2], x[3], answer[6];
     int status, i, j;
-    status = planar_arm_3r_damped_f32_factorise(S, &f);
+    status = planar_arm_3r_damped_f32_factorise(S, &f, 1);
     if (status < 0) {
         return planar_arm_3r_damped_f32_refuse(status, info);
     }
@@ -715,7 +1059,7 @@ static int planar_arm_3r_damped_f32_pinv_core(const float *S, float *S_pinv, pla
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0f;
-        planar_arm_3r_damped_f32_apply(&f, unit, x);
+        planar_arm_3r_damped_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
         for (j = 0; j < 3; ++j) {
             answer[2 * j + i] = zero_row ? 0.0f : planar_arm_3r_damped_f32_shift(x[j], -f.exponent[i]);
@@ -727,7 +1071,7 @@ static int planar_arm_3r_damped_f32_pinv_core(const float *S, float *S_pinv, pla
     status = f.rank < 2 ? PLANAR_ARM_3R_DAMPED_F32_RANK_DEFICIENT_CONSISTENT : PLANAR_ARM_3R_DAMPED_F32_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = PLANAR_ARM_3R_DAMPED_F32_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = planar_arm_3r_damped_f32_sigma_min(S, &f);

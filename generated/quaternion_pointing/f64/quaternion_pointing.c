@@ -11,8 +11,7 @@
 #error "build quaternion_pointing.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 3 x 3, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 3 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     double value;
@@ -91,6 +90,13 @@ static double quaternion_pointing_sqrt(double x)
 #endif
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define QUATERNION_POINTING_APART __attribute__((noinline))
+#else
+#define QUATERNION_POINTING_APART
+#endif
+
 /* 2^k, -1022 <= k <= 1023. */
 static double quaternion_pointing_power(int k)
 {
@@ -103,6 +109,9 @@ static double quaternion_pointing_power(int k)
 static double quaternion_pointing_shift(double x, int k)
 {
     int step;
+    if (k >= -1022 && k <= 1023) {
+        return x * quaternion_pointing_power(k);
+    }
     for (step = 0; step < 3 && k > 1023; ++step) {
         x *= quaternion_pointing_power(1023);
         k -= 1023;
@@ -141,96 +150,280 @@ static double quaternion_pointing_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-static double quaternion_pointing_dot(const double *a, const double *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int quaternion_pointing_within(double x, uint64_t low, uint64_t high)
 {
-    double sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (quaternion_pointing_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void quaternion_pointing_rotate(double *a, double *b, int n, double s, double h)
+static void quaternion_pointing_spread(const double *restrict v, double factor, double *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        const double y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 3; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void quaternion_pointing_swap(double *a, double *b, int n)
+/* The inverse of spreading, without a factor. */
+static void quaternion_pointing_gather(const double *restrict w, double *restrict v)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        a[i] = b[i];
-        b[i] = x;
+    int k;
+    for (k = 0; k < 3; ++k) {
+        v[k] = w[k];
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
+static double quaternion_pointing_inner(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+typedef struct {
+    double lower[3]; /* L below its unit diagonal, row by row */
+    double inverse[3]; /* 1 / D */
+} quaternion_pointing_normal;
+
+/* Factorises B B^T, B [3*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 8e-15, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int quaternion_pointing_normal_factor(const double *B, quaternion_pointing_normal *f)
+{
+    const double g_0_0 = quaternion_pointing_inner(B, B);
+    const double g_1_1 = quaternion_pointing_inner(B + 3, B + 3);
+    const double g_2_2 = quaternion_pointing_inner(B + 6, B + 6);
+    const double g_1_0 = quaternion_pointing_inner(B + 3, B);
+    const double g_2_0 = quaternion_pointing_inner(B + 6, B);
+    const double g_2_1 = quaternion_pointing_inner(B + 6, B + 3);
+    double d_0, i_0;
+    double d_1, i_1;
+    double d_2, i_2;
+    double v_1_0, l_1_0, n_1_0;
+    double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
+    double bound;
+    if (!quaternion_pointing_within(g_0_0, 523, 1523) || !quaternion_pointing_within(g_1_1, 523, 1523) || !quaternion_pointing_within(g_2_2, 523, 1523)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0 / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    v_2_0 = g_2_0;
+    l_2_0 = v_2_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0 / d_1;
+    v_2_1 = g_2_1 - v_2_0 * l_1_0;
+    l_2_1 = v_2_1 * i_1;
+    d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
+    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_2 = 1.0 / d_2;
+    n_1_0 = quaternion_pointing_abs(l_1_0);
+    n_2_1 = quaternion_pointing_abs(l_2_1);
+    n_2_0 = quaternion_pointing_abs(l_2_0) + quaternion_pointing_abs(l_2_1) * n_1_0;
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
+    if (!(bound <= 27271342415.357616)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->inverse[2] = i_2;
+    f->lower[0] = l_1_0;
+    f->lower[1] = l_2_0;
+    f->lower[2] = l_2_1;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void quaternion_pointing_normal_solve(const quaternion_pointing_normal *f, const double *r, double *w)
+{
+    const double a_0 = r[0];
+    const double a_1 = r[1] - f->lower[0] * a_0;
+    const double a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
+    const double b_2 = f->inverse[2] * a_2;
+    const double b_1 = f->inverse[1] * a_1 - f->lower[2] * b_2;
+    const double b_0 = f->inverse[0] * a_0 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+    w[2] = b_2;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    double P[9];
+    double L[9];
+    double square[3];  /* squared length of the k-th pivot */
+    double inverse[3]; /* its inverse */
+    int order[3];
+    double total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} quaternion_pointing_qr;
+
+/* rest -= along pivot, its squared length. */
+static double quaternion_pointing_take_out(double *restrict rest, const double *restrict pivot, double along)
+{
+    int j;
+    for (j = 0; j < 3; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return quaternion_pointing_inner(rest, rest);
+}
+
+static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_qr *f)
+{
+    double left[3]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 9; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 3; ++i) {
+        left[i] = quaternion_pointing_inner(B + 3 * i, B + 3 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 3; ++k) {
+        uint64_t best = quaternion_pointing_magnitude(left[f->order[k]]);
+        const double *pivot;
+        double square, inverse;
+        int at = k;
+        for (i = k + 1; i < 3; ++i) {
+            const uint64_t other = quaternion_pointing_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 3 * i;
+        square = left[i];
+        f->L[3 * i + k] = 1.0;
+        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0 / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 3; ++i) {
+            const int row = f->order[i];
+            double *const rest = f->P + 3 * row;
+            const double along = quaternion_pointing_inner(pivot, rest) * inverse;
+            f->L[3 * row + k] = along;
+            left[row] = quaternion_pointing_take_out(rest, pivot, along);
+        }
+    }
+}
+
+/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const double *const row_1 = f->L + 3 * f->order[1];
+    double n_1_0;
+    const double *const row_2 = f->L + 3 * f->order[2];
+    double n_2_0, n_2_1;
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    n_1_0 = quaternion_pointing_abs(row_1[0]);
+    n_2_1 = quaternion_pointing_abs(row_2[1]);
+    n_2_0 = quaternion_pointing_abs(row_2[0]) + quaternion_pointing_abs(row_2[1]) * n_1_0;
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
+    return bound * total < 7.887603734753427e+28;
+}
+
+static double quaternion_pointing_short(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* Turns (a, b) by the angle of sine s, h = s / (1 + cos). */
+static void quaternion_pointing_rotate(double *restrict a, double *restrict b, double s, double h)
+{
+    int k;
+    for (k = 0; k < 3; ++k) {
+        const double x = a[k];
+        const double y = b[k];
+        a[k] = x - s * (y + h * x);
+        b[k] = y + s * (x - h * y);
+    }
+}
+
+/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
+   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
+   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
    Returns the sweeps it took, or 0 if 7 did not do. */
-static int quaternion_pointing_jacobi(double *v, int length, double *w, int width, int count, double *sigma)
+static int quaternion_pointing_jacobi(double *t, int count, double *square)
 {
-    double floor_norm = 0.0;
-    int sweep, i, j;
+    double least = 0.0;
+    int sweep, i, j, k;
     for (i = 0; i < count; ++i) {
-        const double square = quaternion_pointing_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = quaternion_pointing_sqrt(square);
+        square[i] = quaternion_pointing_short(t + 3 * i, t + 3 * i);
+        least += square[i];
     }
-    floor_norm = 2.220446049250313e-16 * quaternion_pointing_sqrt(floor_norm);
+    least *= 4.930380657631324e-32;
     for (sweep = 1; sweep <= 7; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
-            double *const a = v + length * i;
+            double *const a = t + 3 * i;
             int top = i;
             for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
+                top = square[j] > square[top] ? j : top;
             }
             if (top != i) {
-                const double norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                quaternion_pointing_swap(a, v + length * top, length);
-                quaternion_pointing_swap(w + width * i, w + width * top, width);
+                double *const b = t + 3 * top;
+                const double length = square[i];
+                square[i] = square[top];
+                square[top] = length;
+                for (k = 0; k < 3; ++k) {
+                    const double x = a[k];
+                    a[k] = b[k];
+                    b[k] = x;
+                }
             }
             for (j = i + 1; j < count; ++j) {
-                double *const b = v + length * j;
-                double inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = quaternion_pointing_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (quaternion_pointing_abs(inner) <= 1.9229626863835638e-16 * product) {
+                double *const b = t + 3 * j;
+                const double inner = quaternion_pointing_short(a, b);
+                const double product = square[i] * square[j];
+                const double gap = square[i] - square[j];
+                double h, c, s;
+                if (inner * inner <= 3.6977854932234923e-32 * product) {
                     continue;
                 }
-                if (quaternion_pointing_abs(inner) > 7.771561172376096e-16 * product) { /* more than rounding can bring back */
+                if (square[i] <= least || square[j] <= least) {
+                    continue; /* rounding noise never becomes orthogonal */
+                }
+                if (inner * inner > 6.039716305598372e-31 * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0 * inner);
-                if (quaternion_pointing_abs(zeta) > 67108864.0) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5 / zeta;
-                } else {
-                    t = 1.0 / (quaternion_pointing_abs(zeta) + quaternion_pointing_sqrt(1.0 + zeta * zeta));
-                    t = zeta < 0.0 ? -t : t;
-                }
-                c = 1.0 / quaternion_pointing_sqrt(1.0 + t * t);
-                s = c * t;
-                h = s / (1.0 + c);
-                quaternion_pointing_rotate(a, b, length, s, h);
-                quaternion_pointing_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = quaternion_pointing_sqrt(quaternion_pointing_dot(a, a, length));
-                sigma[j] = quaternion_pointing_sqrt(quaternion_pointing_dot(b, b, length));
+                /* cos and sin of half the angle of (gap, 2 inner) */
+                h = quaternion_pointing_sqrt(gap * gap + 4.0 * inner * inner);
+                c = quaternion_pointing_sqrt(0.5 + 0.5 * (quaternion_pointing_abs(gap) / h));
+                s = gap < 0.0 ? inner : -inner;
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                           c and s (Rutishauser 1966) */
+                c = s / (h * (1.0 + c));
+                s /= h;
+                quaternion_pointing_rotate(a, b, s, c);
+                square[i] = quaternion_pointing_short(a, a);
+                square[j] = quaternion_pointing_short(b, b);
             }
         }
         if (!turned) {
@@ -240,81 +433,235 @@ static int quaternion_pointing_jacobi(double *v, int length, double *w, int widt
     return 0;
 }
 
+/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int quaternion_pointing_svd(const quaternion_pointing_qr *f, double *left, double *sigma)
+{
+    int i, k;
+    int sweeps;
+    for (k = 0; k < 9; ++k) {
+        left[k] = 0.0;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const double length = quaternion_pointing_sqrt(f->square[k]);
+        for (i = k; i < 3; ++i) {
+            left[3 * k + f->order[i]] = f->L[3 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 3; ++k) {
+        sigma[k] = 0.0;
+    }
+    sweeps = quaternion_pointing_jacobi(left, f->steps, sigma);
+    for (k = 0; k < f->steps; ++k) {
+        const double length = quaternion_pointing_sqrt(sigma[k]);
+        const double inverse = length > 0.0 ? 1.0 / length : 0.0;
+        sigma[k] = length;
+        for (i = 0; i < 3; ++i) {
+            left[3 * k + i] *= inverse;
+        }
+    }
+    return sweeps;
+}
+
 typedef struct {
-    double S[9];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[3];   /* -16384 where the row counts as zero */
-    double left[9];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    double right[9]; /* one of them orthonormal, */
-    double sigma[3];     /* the other of these lengths, largest first */
+    double B[9];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[3];   /* -16384 where a row counts as zero */
+    quaternion_pointing_normal normal;
+    quaternion_pointing_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    double left[9];
+    double right[9];
+    double sigma[3];
+    double gain[3];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    double least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } quaternion_pointing_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void quaternion_pointing_unscale_rows(quaternion_pointing_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void quaternion_pointing_undo_scaling(quaternion_pointing_factors *f, int top)
+{
+    double F[9]; /* column k in F + 3 k; reflections below the diagonal, R above */
+    double corner[3], weight[3], e[3], x[3];
+    int row[3], column[3];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 3; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 3; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[3 * k + i] = exponent == -16384 ? 0.0 :
+                quaternion_pointing_shift(f->left[3 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint64_t best = 0;
+        double *v;
+        double square = 0.0;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint64_t largest = quaternion_pointing_largest(F + 3 * column[j] + k, 3 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0;
+        corner[k] = 0.0;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = quaternion_pointing_exponent(best);
+        v = F + 3 * j;
+        for (i = k; i < 3; ++i) {
+            v[i] = quaternion_pointing_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = quaternion_pointing_sqrt(square);
+        corner[k] = quaternion_pointing_shift(v[k] > 0.0 ? -square : square, unit);
+        v[k] += v[k] > 0.0 ? square : -square;
+        weight[k] = 1.0 / (square * quaternion_pointing_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            double *const other = F + 3 * column[j];
+            double along = 0.0;
+            for (i = k; i < 3; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 3; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 3; ++i) {
+        x[i] = 0.0;
+    }
+    for (i = 0; i < 3; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 3; ++j) {
+            e[j] = i == j ? 1.0 : 0.0;
+        }
+        for (k = 0; k < rank; ++k) {
+            const double *const v = F + 3 * column[k];
+            double along = 0.0;
+            for (j = k; j < 3; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 3; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            double sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[3 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0 || corner[k] > 0.0 ? sum / corner[k] : 0.0;
+            f->left[3 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void quaternion_pointing_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 3; ++i) {
-        if (f->exponent[i] != -16384) {
+        const double *const row = S + 3 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+            quaternion_pointing_spread(row, quaternion_pointing_power(-exponent[i]), B + 3 * i);
+        } else {
+            double shifted[3];
             for (j = 0; j < 3; ++j) {
-                f->S[3 * i + j] = quaternion_pointing_shift(f->S[3 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0 : quaternion_pointing_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            quaternion_pointing_spread(shifted, 1.0, B + 3 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int quaternion_pointing_decompose(quaternion_pointing_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int quaternion_pointing_values(quaternion_pointing_factors *f, double *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 9; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 3; ++i) {
-        for (j = 0; j < 3; ++j) {
-            f->left[3 * i + j] = i == j ? 1.0 : 0.0;
-        }
-    }
-    sweeps = quaternion_pointing_jacobi(f->right, 3, f->left, 3, 3, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = quaternion_pointing_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int quaternion_pointing_undo_scaling(quaternion_pointing_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void quaternion_pointing_vectors(quaternion_pointing_factors *f, const double *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
+        double *const near = f->left + 3 * k;
+        double *const far = f->right + 3 * k;
+        f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 3; ++i) {
-            f->right[3 * k + i] /= f->sigma[k];
+            near[i] = u[3 * k + i];
         }
-        for (i = 0; i < 3; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[3 * k + i] *= f->sigma[k];
-                f->left[3 * k + i] = quaternion_pointing_shift(f->left[3 * k + i], f->exponent[i] - top);
+        for (j = 0; j < 3; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 3; ++i) {
+            for (j = 0; j < 3; ++j) {
+                far[j] += near[i] * f->B[3 * i + j];
             }
         }
+        for (j = 0; j < 3; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    quaternion_pointing_unscale_rows(f, top);
-    sweeps = quaternion_pointing_jacobi(f->left, 3, f->right, 3, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const double *S, quaternion_pointing_factors *f, int top, int bottom)
+{
+    double u[9];
+    int i;
+    f->path = QUATERNION_POINTING_PATH_SVD;
+    if (!quaternion_pointing_values(f, u)) {
+        return QUATERNION_POINTING_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 3; ++i) {
+        f->rank += f->sigma[i] > 6.661338147750939e-16 * f->sigma[0];
+    }
+    f->direct = f->rank == 3;
+    if (!f->direct) {
+        quaternion_pointing_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            quaternion_pointing_undo_scaling(f, top);
+            for (i = 0; i < 3; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            quaternion_pointing_scale(S, f->exponent, f->B);
+        }
+    }
+    return QUATERNION_POINTING_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 3; ++i) {
         quaternion_pointing_word word;
         word.bits = quaternion_pointing_largest(S + 3 * i, 3);
@@ -330,51 +677,45 @@ static int quaternion_pointing_factorise(const double *S, quaternion_pointing_fa
         }
     }
     f->uniform = active == 3 && top == bottom;
-    for (i = 0; i < 3; ++i) {
-        for (j = 0; j < 3; ++j) {
-            f->S[3 * i + j] =
-                f->exponent[i] == -16384 ? 0.0 : quaternion_pointing_shift(S[3 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!quaternion_pointing_decompose(f)) {
-        return QUATERNION_POINTING_NOT_CONVERGED;
-    }
-    f->least = f->sigma[2];
-    for (i = 0; i < 3; ++i) {
-        f->rank += f->sigma[i] > 6.661338147750939e-16 * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!quaternion_pointing_undo_scaling(f, top)) {
-            return QUATERNION_POINTING_NOT_CONVERGED;
+    quaternion_pointing_scale(S, f->exponent, f->B);
+    if (active >= 3) {
+        int known = 1;
+        f->rank = 3;
+        f->path = QUATERNION_POINTING_PATH_NORMAL;
+        if (after_normal || quaternion_pointing_normal_factor(f->B, &f->normal) != 1) {
+            f->path = QUATERNION_POINTING_PATH_QR;
+            f->direct = 1;
+            quaternion_pointing_qr_factor(f->B, &f->qr);
+            known = quaternion_pointing_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return QUATERNION_POINTING_OK;
+        }
+        f->direct = 0;
+    } else {
+        quaternion_pointing_qr_factor(f->B, &f->qr);
     }
-    return QUATERNION_POINTING_OK;
+    return quaternion_pointing_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static double quaternion_pointing_sigma_min(const double *S, const quaternion_pointing_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static QUATERNION_POINTING_APART double quaternion_pointing_sigma_min(const double *S, quaternion_pointing_factors *f)
 {
     const uint64_t magnitude = quaternion_pointing_largest(S, 9);
     const int top = magnitude == 0 ? 0 : quaternion_pointing_exponent(magnitude);
-    double v[9];
-    double sigma[3];
-    double least;
+    double u[9];
     int i;
-    if (f->uniform) {
-        return quaternion_pointing_shift(f->least, top);
+    if (f->path != QUATERNION_POINTING_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 3; ++i) {
+            f->exponent[i] = top;
+        }
+        quaternion_pointing_scale(S, f->exponent, f->B);
+        quaternion_pointing_qr_factor(f->B, &f->qr);
+        (void)quaternion_pointing_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 9; ++i) {
-        v[i] = quaternion_pointing_shift(S[i], -top);
-    }
-    (void)quaternion_pointing_jacobi(v, 3, v, 0, 3, sigma);
-    least = sigma[0];
-    for (i = 1; i < 3; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return quaternion_pointing_shift(least, top);
+    return quaternion_pointing_shift(f->sigma[2], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -456,42 +797,89 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
     return met;
 }
 
-/* x = S+ r. */
-static void quaternion_pointing_apply(const quaternion_pointing_factors *f, const double *r, double *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    int k, i, j;
+    const double *const p_0 = f->P + 3 * f->order[0];
+    const double w_0 = r[f->order[0]];
+    const double *const row_1 = f->L + 3 * f->order[1];
+    const double *const p_1 = f->P + 3 * f->order[1];
+    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const double *const row_2 = f->L + 3 * f->order[2];
+    const double *const p_2 = f->P + 3 * f->order[2];
+    const double w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    double c_0 = w_0 * f->inverse[0];
+    double c_1 = w_1 * f->inverse[1];
+    double c_2 = w_2 * f->inverse[2];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 3; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j];
+        }
+        return;
+    }
+    for (j = 0; j < 3; ++j) {
+        x[j] = c_2 * p_2[j];
+    }
+    c_1 = (w_1 - quaternion_pointing_inner(p_1, x)) * f->inverse[1];
+    for (j = 0; j < 3; ++j) {
+        x[j] += c_1 * p_1[j];
+    }
+    c_0 = (w_0 - quaternion_pointing_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 3; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void quaternion_pointing_normal_apply(const quaternion_pointing_normal *f, const double *B, const double *restrict r, double *restrict x)
+{
+    double w[3];
+    int j;
+    quaternion_pointing_normal_solve(f, r, w);
+    for (j = 0; j < 3; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 3] + w[2] * B[j + 6];
+    }
+}
+
+/* r = z - B t. */
+static void quaternion_pointing_residual(const double *B, const double *z, const double *t, double *restrict r)
+{
+    r[0] = z[0] - quaternion_pointing_inner(B, t);
+    r[1] = z[1] - quaternion_pointing_inner(B + 3, t);
+    r[2] = z[2] - quaternion_pointing_inner(B + 6, t);
+}
+
+/* x = S+ r, from the step of the ladder that held. */
+static void quaternion_pointing_apply(const quaternion_pointing_factors *f, const double *r, double *x, int careful)
+{
+    int i, j, k;
+    if (f->path == QUATERNION_POINTING_PATH_NORMAL) {
+        quaternion_pointing_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        quaternion_pointing_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 3; ++j) {
         x[j] = 0.0;
     }
     for (k = 0; k < f->rank; ++k) {
         const double *const left = f->left + 3 * k;
-        const double *const right = f->right + 3 * k;
         double along = left[0] * r[0];
         for (i = 1; i < 3; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 3; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[3 * k + j];
         }
     }
 }
 
-/* r = z - S t. */
-static void quaternion_pointing_residual(const quaternion_pointing_factors *f, const double *z, const double *t, double *r)
-{
-    int i, j;
-    for (i = 0; i < 3; ++i) {
-        r[i] = z[i];
-        for (j = 0; j < 3; ++j) {
-            r[i] -= f->S[3 * i + j] * t[j];
-        }
-    }
-}
-
-static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info, int after_normal)
 {
     quaternion_pointing_factors f;
     double zs[3], ys[3], r[3], x[3], answer[3];
@@ -501,7 +889,7 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
     if (quaternion_pointing_largest(z, 3) >= UINT64_C(0x7ff0000000000000) || (y != NULL && quaternion_pointing_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
         return quaternion_pointing_refuse(QUATERNION_POINTING_NONFINITE, info);
     }
-    status = quaternion_pointing_factorise(S, &f);
+    status = quaternion_pointing_factorise(S, &f, after_normal);
     if (status < 0) {
         return quaternion_pointing_refuse(status, info);
     }
@@ -524,8 +912,8 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0 : quaternion_pointing_shift(y[j], -unit);
     }
-    quaternion_pointing_residual(&f, zs, ys, r);
-    quaternion_pointing_apply(&f, r, x);
+    quaternion_pointing_residual(f.B, zs, ys, r);
+    quaternion_pointing_apply(&f, r, x, 0);
     for (j = 0; j < 3; ++j) {
         answer[j] = quaternion_pointing_shift(x[j], unit);
         if (y != NULL) {
@@ -535,8 +923,8 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     {
-        quaternion_pointing_residual(&f, zs, ys, r);
-        quaternion_pointing_apply(&f, r, x);
+        quaternion_pointing_residual(f.B, zs, ys, r);
+        quaternion_pointing_apply(&f, r, x, 1);
         for (j = 0; j < 3; ++j) {
             answer[j] += quaternion_pointing_shift(x[j], unit);
         }
@@ -552,7 +940,7 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
     }
     if (info != NULL) {
         info->status = status;
-        info->path = QUATERNION_POINTING_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = quaternion_pointing_sigma_min(S, &f);
@@ -564,12 +952,66 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
     return status;
 }
 
-static int quaternion_pointing_pinv_core(const double *S, double *S_pinv, quaternion_pointing_info *info)
+static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S, const double *z, const double *y, const double *tau, quaternion_pointing_info *info)
+{
+    quaternion_pointing_factors f;
+    (void)quaternion_pointing_consistent(S, z, y, tau, &info->residual);
+    f.path = QUATERNION_POINTING_PATH_NORMAL;
+    info->status = QUATERNION_POINTING_OK;
+    info->path = QUATERNION_POINTING_PATH_NORMAL;
+    info->rank = 3;
+    info->sweeps = 0;
+    info->sigma_min = quaternion_pointing_sigma_min(S, &f);
+}
+
+/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
+   fit ends in a square that is out of range, NaN and infinity too. */
+static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+{
+    quaternion_pointing_normal f;
+    double r[3], x[3], step[3];
+    int held, j;
+    const double *const B = S;
+    held = quaternion_pointing_normal_factor(B, &f);
+    if (held == 1) {
+        if (y == NULL) {
+            quaternion_pointing_normal_apply(&f, B, z, x);
+        } else {
+            double given[3];
+            quaternion_pointing_spread(y, 1.0, given);
+            quaternion_pointing_residual(B, z, given, r);
+            quaternion_pointing_normal_apply(&f, B, r, x);
+            for (j = 0; j < 3; ++j) {
+                x[j] += given[j];
+            }
+        }
+        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+        quaternion_pointing_residual(B, z, x, r);
+        quaternion_pointing_normal_apply(&f, B, r, step);
+        for (j = 0; j < 3; ++j) {
+            x[j] += step[j];
+        }
+        if (quaternion_pointing_within(quaternion_pointing_inner(x, x), 23, 1923)) {
+            if (info != NULL) {
+                double answer[3];
+                quaternion_pointing_gather(x, answer);
+                quaternion_pointing_report(S, z, y, answer, info);
+            }
+            quaternion_pointing_gather(x, tau);
+            return QUATERNION_POINTING_OK;
+        }
+        held = -1;
+    }
+    return quaternion_pointing_solve_scaled(S, z, y, tau, info, held == 0);
+}
+
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double *S, double *S_pinv, quaternion_pointing_info *info)
 {
     quaternion_pointing_factors f;
     double unit[3], x[3], answer[9];
     int status, i, j;
-    status = quaternion_pointing_factorise(S, &f);
+    status = quaternion_pointing_factorise(S, &f, 1);
     if (status < 0) {
         return quaternion_pointing_refuse(status, info);
     }
@@ -579,7 +1021,7 @@ static int quaternion_pointing_pinv_core(const double *S, double *S_pinv, quater
     for (i = 0; i < 3; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0;
-        quaternion_pointing_apply(&f, unit, x);
+        quaternion_pointing_apply(&f, unit, x, 1);
         unit[i] = 0.0;
         for (j = 0; j < 3; ++j) {
             answer[3 * j + i] = zero_row ? 0.0 : quaternion_pointing_shift(x[j], -f.exponent[i]);
@@ -591,7 +1033,7 @@ static int quaternion_pointing_pinv_core(const double *S, double *S_pinv, quater
     status = f.rank < 3 ? QUATERNION_POINTING_RANK_DEFICIENT_CONSISTENT : QUATERNION_POINTING_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = QUATERNION_POINTING_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = quaternion_pointing_sigma_min(S, &f);

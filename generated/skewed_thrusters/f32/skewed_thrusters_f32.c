@@ -11,8 +11,7 @@
 #error "build skewed_thrusters_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 6 x 8, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 6 x 8, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     float value;
@@ -91,6 +90,13 @@ static float skewed_thrusters_f32_sqrt(float x)
 #endif
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define SKEWED_THRUSTERS_F32_APART __attribute__((noinline))
+#else
+#define SKEWED_THRUSTERS_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float skewed_thrusters_f32_power(int k)
 {
@@ -103,6 +109,9 @@ static float skewed_thrusters_f32_power(int k)
 static float skewed_thrusters_f32_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * skewed_thrusters_f32_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= skewed_thrusters_f32_power(127);
         k -= 127;
@@ -141,96 +150,409 @@ static float skewed_thrusters_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-static float skewed_thrusters_f32_dot(const float *a, const float *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int skewed_thrusters_f32_within(float x, uint32_t low, uint32_t high)
 {
-    float sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (skewed_thrusters_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void skewed_thrusters_f32_rotate(float *a, float *b, int n, float s, float h)
+static void skewed_thrusters_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        const float y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 8; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void skewed_thrusters_f32_swap(float *a, float *b, int n)
+/* a b, in four sums that a machine with vectors and one without add up alike. */
+static float skewed_thrusters_f32_inner(const float *a, const float *b)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const float x = a[i];
-        a[i] = b[i];
-        b[i] = x;
+    float sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = a[k] * b[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += a[k + 4] * b[k + 4];
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+typedef struct {
+    float lower[15]; /* L below its unit diagonal, row by row */
+    float inverse[6]; /* 1 / D */
+} skewed_thrusters_f32_normal;
+
+/* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2.3e-05, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f32_normal *f)
+{
+    const float g_0_0 = skewed_thrusters_f32_inner(B, B);
+    const float g_1_1 = skewed_thrusters_f32_inner(B + 8, B + 8);
+    const float g_2_2 = skewed_thrusters_f32_inner(B + 16, B + 16);
+    const float g_3_3 = skewed_thrusters_f32_inner(B + 24, B + 24);
+    const float g_4_4 = skewed_thrusters_f32_inner(B + 32, B + 32);
+    const float g_5_5 = skewed_thrusters_f32_inner(B + 40, B + 40);
+    const float g_1_0 = skewed_thrusters_f32_inner(B + 8, B);
+    const float g_2_0 = skewed_thrusters_f32_inner(B + 16, B);
+    const float g_2_1 = skewed_thrusters_f32_inner(B + 16, B + 8);
+    const float g_3_0 = skewed_thrusters_f32_inner(B + 24, B);
+    const float g_3_1 = skewed_thrusters_f32_inner(B + 24, B + 8);
+    const float g_3_2 = skewed_thrusters_f32_inner(B + 24, B + 16);
+    const float g_4_0 = skewed_thrusters_f32_inner(B + 32, B);
+    const float g_4_1 = skewed_thrusters_f32_inner(B + 32, B + 8);
+    const float g_4_2 = skewed_thrusters_f32_inner(B + 32, B + 16);
+    const float g_4_3 = skewed_thrusters_f32_inner(B + 32, B + 24);
+    const float g_5_0 = skewed_thrusters_f32_inner(B + 40, B);
+    const float g_5_1 = skewed_thrusters_f32_inner(B + 40, B + 8);
+    const float g_5_2 = skewed_thrusters_f32_inner(B + 40, B + 16);
+    const float g_5_3 = skewed_thrusters_f32_inner(B + 40, B + 24);
+    const float g_5_4 = skewed_thrusters_f32_inner(B + 40, B + 32);
+    float d_0, i_0;
+    float d_1, i_1;
+    float d_2, i_2;
+    float d_3, i_3;
+    float d_4, i_4;
+    float d_5, i_5;
+    float v_1_0, l_1_0, n_1_0;
+    float v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
+    float v_3_0, l_3_0, n_3_0, v_3_1, l_3_1, n_3_1, v_3_2, l_3_2, n_3_2;
+    float v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
+    float v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
+    float bound;
+    if (!skewed_thrusters_f32_within(g_0_0, 87, 167) || !skewed_thrusters_f32_within(g_1_1, 87, 167) || !skewed_thrusters_f32_within(g_2_2, 87, 167) || !skewed_thrusters_f32_within(g_3_3, 87, 167) || !skewed_thrusters_f32_within(g_4_4, 87, 167) || !skewed_thrusters_f32_within(g_5_5, 87, 167)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 0.000026158124f * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0f / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    v_2_0 = g_2_0;
+    l_2_0 = v_2_0 * i_0;
+    v_3_0 = g_3_0;
+    l_3_0 = v_3_0 * i_0;
+    v_4_0 = g_4_0;
+    l_4_0 = v_4_0 * i_0;
+    v_5_0 = g_5_0;
+    l_5_0 = v_5_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 0.000026158124f * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0f / d_1;
+    v_2_1 = g_2_1 - v_2_0 * l_1_0;
+    l_2_1 = v_2_1 * i_1;
+    v_3_1 = g_3_1 - v_3_0 * l_1_0;
+    l_3_1 = v_3_1 * i_1;
+    v_4_1 = g_4_1 - v_4_0 * l_1_0;
+    l_4_1 = v_4_1 * i_1;
+    v_5_1 = g_5_1 - v_5_0 * l_1_0;
+    l_5_1 = v_5_1 * i_1;
+    d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
+    if (!(d_2 > 0.000026158124f * g_2_2)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_2 = 1.0f / d_2;
+    v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
+    l_3_2 = v_3_2 * i_2;
+    v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
+    l_4_2 = v_4_2 * i_2;
+    v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
+    l_5_2 = v_5_2 * i_2;
+    d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
+    if (!(d_3 > 0.000026158124f * g_3_3)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_3 = 1.0f / d_3;
+    v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
+    l_4_3 = v_4_3 * i_3;
+    v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
+    l_5_3 = v_5_3 * i_3;
+    d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
+    if (!(d_4 > 0.000026158124f * g_4_4)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_4 = 1.0f / d_4;
+    v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
+    l_5_4 = v_5_4 * i_4;
+    d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
+    if (!(d_5 > 0.000026158124f * g_5_5)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_5 = 1.0f / d_5;
+    n_1_0 = skewed_thrusters_f32_abs(l_1_0);
+    n_2_1 = skewed_thrusters_f32_abs(l_2_1);
+    n_2_0 = skewed_thrusters_f32_abs(l_2_0) + skewed_thrusters_f32_abs(l_2_1) * n_1_0;
+    n_3_2 = skewed_thrusters_f32_abs(l_3_2);
+    n_3_1 = skewed_thrusters_f32_abs(l_3_1) + skewed_thrusters_f32_abs(l_3_2) * n_2_1;
+    n_3_0 = skewed_thrusters_f32_abs(l_3_0) + skewed_thrusters_f32_abs(l_3_1) * n_1_0 + skewed_thrusters_f32_abs(l_3_2) * n_2_0;
+    n_4_3 = skewed_thrusters_f32_abs(l_4_3);
+    n_4_2 = skewed_thrusters_f32_abs(l_4_2) + skewed_thrusters_f32_abs(l_4_3) * n_3_2;
+    n_4_1 = skewed_thrusters_f32_abs(l_4_1) + skewed_thrusters_f32_abs(l_4_2) * n_2_1 + skewed_thrusters_f32_abs(l_4_3) * n_3_1;
+    n_4_0 = skewed_thrusters_f32_abs(l_4_0) + skewed_thrusters_f32_abs(l_4_1) * n_1_0 + skewed_thrusters_f32_abs(l_4_2) * n_2_0 + skewed_thrusters_f32_abs(l_4_3) * n_3_0;
+    n_5_4 = skewed_thrusters_f32_abs(l_5_4);
+    n_5_3 = skewed_thrusters_f32_abs(l_5_3) + skewed_thrusters_f32_abs(l_5_4) * n_4_3;
+    n_5_2 = skewed_thrusters_f32_abs(l_5_2) + skewed_thrusters_f32_abs(l_5_3) * n_3_2 + skewed_thrusters_f32_abs(l_5_4) * n_4_2;
+    n_5_1 = skewed_thrusters_f32_abs(l_5_1) + skewed_thrusters_f32_abs(l_5_2) * n_2_1 + skewed_thrusters_f32_abs(l_5_3) * n_3_1 + skewed_thrusters_f32_abs(l_5_4) * n_4_1;
+    n_5_0 = skewed_thrusters_f32_abs(l_5_0) + skewed_thrusters_f32_abs(l_5_1) * n_1_0 + skewed_thrusters_f32_abs(l_5_2) * n_2_0 + skewed_thrusters_f32_abs(l_5_3) * n_3_0 + skewed_thrusters_f32_abs(l_5_4) * n_4_0;
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
+    bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
+    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
+    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
+    if (!(bound <= 38229.043f)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->inverse[2] = i_2;
+    f->inverse[3] = i_3;
+    f->inverse[4] = i_4;
+    f->inverse[5] = i_5;
+    f->lower[0] = l_1_0;
+    f->lower[1] = l_2_0;
+    f->lower[2] = l_2_1;
+    f->lower[3] = l_3_0;
+    f->lower[4] = l_3_1;
+    f->lower[5] = l_3_2;
+    f->lower[6] = l_4_0;
+    f->lower[7] = l_4_1;
+    f->lower[8] = l_4_2;
+    f->lower[9] = l_4_3;
+    f->lower[10] = l_5_0;
+    f->lower[11] = l_5_1;
+    f->lower[12] = l_5_2;
+    f->lower[13] = l_5_3;
+    f->lower[14] = l_5_4;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void skewed_thrusters_f32_normal_solve(const skewed_thrusters_f32_normal *f, const float *r, float *w)
+{
+    const float a_0 = r[0];
+    const float a_1 = r[1] - f->lower[0] * a_0;
+    const float a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
+    const float a_3 = r[3] - f->lower[3] * a_0 - f->lower[4] * a_1 - f->lower[5] * a_2;
+    const float a_4 = r[4] - f->lower[6] * a_0 - f->lower[7] * a_1 - f->lower[8] * a_2 - f->lower[9] * a_3;
+    const float a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3 - f->lower[14] * a_4;
+    const float b_5 = f->inverse[5] * a_5;
+    const float b_4 = f->inverse[4] * a_4 - f->lower[14] * b_5;
+    const float b_3 = f->inverse[3] * a_3 - f->lower[13] * b_5 - f->lower[9] * b_4;
+    const float b_2 = f->inverse[2] * a_2 - f->lower[12] * b_5 - f->lower[8] * b_4 - f->lower[5] * b_3;
+    const float b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3 - f->lower[2] * b_2;
+    const float b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+    w[2] = b_2;
+    w[3] = b_3;
+    w[4] = b_4;
+    w[5] = b_5;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    float P[48];
+    float L[36];
+    float square[6];  /* squared length of the k-th pivot */
+    float inverse[6]; /* its inverse */
+    int order[6];
+    float total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} skewed_thrusters_f32_qr;
+
+/* rest -= along pivot, its squared length. */
+static float skewed_thrusters_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+{
+    int j;
+    for (j = 0; j < 8; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return skewed_thrusters_f32_inner(rest, rest);
+}
+
+static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_qr *f)
+{
+    float left[6]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 48; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 6; ++i) {
+        left[i] = skewed_thrusters_f32_inner(B + 8 * i, B + 8 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 6; ++k) {
+        uint32_t best = skewed_thrusters_f32_magnitude(left[f->order[k]]);
+        const float *pivot;
+        float square, inverse;
+        int at = k;
+        for (i = k + 1; i < 6; ++i) {
+            const uint32_t other = skewed_thrusters_f32_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 8 * i;
+        square = left[i];
+        f->L[6 * i + k] = 1.0f;
+        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0f / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 6; ++i) {
+            const int row = f->order[i];
+            float *const rest = f->P + 8 * row;
+            const float along = skewed_thrusters_f32_inner(pivot, rest) * inverse;
+            f->L[6 * row + k] = along;
+            left[row] = skewed_thrusters_f32_take_out(rest, pivot, along);
+        }
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
+/* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const float *const row_1 = f->L + 6 * f->order[1];
+    float n_1_0;
+    const float *const row_2 = f->L + 6 * f->order[2];
+    float n_2_0, n_2_1;
+    const float *const row_3 = f->L + 6 * f->order[3];
+    float n_3_0, n_3_1, n_3_2;
+    const float *const row_4 = f->L + 6 * f->order[4];
+    float n_4_0, n_4_1, n_4_2, n_4_3;
+    const float *const row_5 = f->L + 6 * f->order[5];
+    float n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
+    float bound;
+    float total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    n_1_0 = skewed_thrusters_f32_abs(row_1[0]);
+    n_2_1 = skewed_thrusters_f32_abs(row_2[1]);
+    n_2_0 = skewed_thrusters_f32_abs(row_2[0]) + skewed_thrusters_f32_abs(row_2[1]) * n_1_0;
+    n_3_2 = skewed_thrusters_f32_abs(row_3[2]);
+    n_3_1 = skewed_thrusters_f32_abs(row_3[1]) + skewed_thrusters_f32_abs(row_3[2]) * n_2_1;
+    n_3_0 = skewed_thrusters_f32_abs(row_3[0]) + skewed_thrusters_f32_abs(row_3[1]) * n_1_0 + skewed_thrusters_f32_abs(row_3[2]) * n_2_0;
+    n_4_3 = skewed_thrusters_f32_abs(row_4[3]);
+    n_4_2 = skewed_thrusters_f32_abs(row_4[2]) + skewed_thrusters_f32_abs(row_4[3]) * n_3_2;
+    n_4_1 = skewed_thrusters_f32_abs(row_4[1]) + skewed_thrusters_f32_abs(row_4[2]) * n_2_1 + skewed_thrusters_f32_abs(row_4[3]) * n_3_1;
+    n_4_0 = skewed_thrusters_f32_abs(row_4[0]) + skewed_thrusters_f32_abs(row_4[1]) * n_1_0 + skewed_thrusters_f32_abs(row_4[2]) * n_2_0 + skewed_thrusters_f32_abs(row_4[3]) * n_3_0;
+    n_5_4 = skewed_thrusters_f32_abs(row_5[4]);
+    n_5_3 = skewed_thrusters_f32_abs(row_5[3]) + skewed_thrusters_f32_abs(row_5[4]) * n_4_3;
+    n_5_2 = skewed_thrusters_f32_abs(row_5[2]) + skewed_thrusters_f32_abs(row_5[3]) * n_3_2 + skewed_thrusters_f32_abs(row_5[4]) * n_4_2;
+    n_5_1 = skewed_thrusters_f32_abs(row_5[1]) + skewed_thrusters_f32_abs(row_5[2]) * n_2_1 + skewed_thrusters_f32_abs(row_5[3]) * n_3_1 + skewed_thrusters_f32_abs(row_5[4]) * n_4_1;
+    n_5_0 = skewed_thrusters_f32_abs(row_5[0]) + skewed_thrusters_f32_abs(row_5[1]) * n_1_0 + skewed_thrusters_f32_abs(row_5[2]) * n_2_0 + skewed_thrusters_f32_abs(row_5[3]) * n_3_0 + skewed_thrusters_f32_abs(row_5[4]) * n_4_0;
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
+    bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0f);
+    bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0f);
+    bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0f);
+    return bound * total < 38482907000.0f;
+}
+
+/* a b, over the 8 numbers (the last 2 zero) of the triangle's columns. */
+static float skewed_thrusters_f32_short(const float *a, const float *b)
+{
+    float sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = a[k] * b[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += a[k + 4] * b[k + 4];
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+/* Turns (a, b) by the angle of sine s, h = s / (1 + cos). */
+static void skewed_thrusters_f32_rotate(float *restrict a, float *restrict b, float s, float h)
+{
+    int k;
+    for (k = 0; k < 8; ++k) {
+        const float x = a[k];
+        const float y = b[k];
+        a[k] = x - s * (y + h * x);
+        b[k] = y + s * (x - h * y);
+    }
+}
+
+/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
+   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
+   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
-static int skewed_thrusters_f32_jacobi(float *v, int length, float *w, int width, int count, float *sigma)
+static int skewed_thrusters_f32_jacobi(float *t, int count, float *square)
 {
-    float floor_norm = 0.0f;
-    int sweep, i, j;
+    float least = 0.0f;
+    int sweep, i, j, k;
     for (i = 0; i < count; ++i) {
-        const float square = skewed_thrusters_f32_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = skewed_thrusters_f32_sqrt(square);
+        square[i] = skewed_thrusters_f32_short(t + 8 * i, t + 8 * i);
+        least += square[i];
     }
-    floor_norm = 1.1920929e-7f * skewed_thrusters_f32_sqrt(floor_norm);
+    least *= 1.4210855e-14f;
     for (sweep = 1; sweep <= 10; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
-            float *const a = v + length * i;
+            float *const a = t + 8 * i;
             int top = i;
             for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
+                top = square[j] > square[top] ? j : top;
             }
             if (top != i) {
-                const float norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                skewed_thrusters_f32_swap(a, v + length * top, length);
-                skewed_thrusters_f32_swap(w + width * i, w + width * top, width);
+                float *const b = t + 8 * top;
+                const float length = square[i];
+                square[i] = square[top];
+                square[top] = length;
+                for (k = 0; k < 8; ++k) {
+                    const float x = a[k];
+                    a[k] = b[k];
+                    b[k] = x;
+                }
             }
             for (j = i + 1; j < count; ++j) {
-                float *const b = v + length * j;
-                float inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = skewed_thrusters_f32_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (skewed_thrusters_f32_abs(inner) <= 1.6858739e-7f * product) {
+                float *const b = t + 8 * j;
+                const float inner = skewed_thrusters_f32_short(a, b);
+                const float product = square[i] * square[j];
+                const float gap = square[i] - square[j];
+                float h, c, s;
+                if (inner * inner <= 2.8421708e-14f * product) {
                     continue;
                 }
-                if (skewed_thrusters_f32_abs(inner) > 7.1525574e-7f * product) { /* more than rounding can bring back */
+                if (square[i] <= least || square[j] <= least) {
+                    continue; /* rounding noise never becomes orthogonal */
+                }
+                if (inner * inner > 5.1159077e-13f * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0f * inner);
-                if (skewed_thrusters_f32_abs(zeta) > 2896.3093f) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5f / zeta;
-                } else {
-                    t = 1.0f / (skewed_thrusters_f32_abs(zeta) + skewed_thrusters_f32_sqrt(1.0f + zeta * zeta));
-                    t = zeta < 0.0f ? -t : t;
-                }
-                c = 1.0f / skewed_thrusters_f32_sqrt(1.0f + t * t);
-                s = c * t;
-                h = s / (1.0f + c);
-                skewed_thrusters_f32_rotate(a, b, length, s, h);
-                skewed_thrusters_f32_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = skewed_thrusters_f32_sqrt(skewed_thrusters_f32_dot(a, a, length));
-                sigma[j] = skewed_thrusters_f32_sqrt(skewed_thrusters_f32_dot(b, b, length));
+                /* cos and sin of half the angle of (gap, 2 inner) */
+                h = skewed_thrusters_f32_sqrt(gap * gap + 4.0f * inner * inner);
+                c = skewed_thrusters_f32_sqrt(0.5f + 0.5f * (skewed_thrusters_f32_abs(gap) / h));
+                s = gap < 0.0f ? inner : -inner;
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                           c and s (Rutishauser 1966) */
+                c = s / (h * (1.0f + c));
+                s /= h;
+                skewed_thrusters_f32_rotate(a, b, s, c);
+                square[i] = skewed_thrusters_f32_short(a, a);
+                square[j] = skewed_thrusters_f32_short(b, b);
             }
         }
         if (!turned) {
@@ -240,81 +562,235 @@ static int skewed_thrusters_f32_jacobi(float *v, int length, float *w, int width
     return 0;
 }
 
+/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int skewed_thrusters_f32_svd(const skewed_thrusters_f32_qr *f, float *left, float *sigma)
+{
+    int i, k;
+    int sweeps;
+    for (k = 0; k < 48; ++k) {
+        left[k] = 0.0f;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const float length = 1048576.0f * skewed_thrusters_f32_sqrt(f->square[k]);
+        for (i = k; i < 6; ++i) {
+            left[8 * k + f->order[i]] = f->L[6 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 6; ++k) {
+        sigma[k] = 0.0f;
+    }
+    sweeps = skewed_thrusters_f32_jacobi(left, f->steps, sigma);
+    for (k = 0; k < f->steps; ++k) {
+        const float length = skewed_thrusters_f32_sqrt(sigma[k]);
+        const float inverse = length > 0.0f ? 1.0f / length : 0.0f;
+        sigma[k] = 9.536743e-7f * length;
+        for (i = 0; i < 8; ++i) {
+            left[8 * k + i] *= inverse;
+        }
+    }
+    return sweeps;
+}
+
 typedef struct {
-    float S[48];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[6];   /* -16384 where the row counts as zero */
-    float left[36];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    float right[48]; /* one of them orthonormal, */
-    float sigma[6];     /* the other of these lengths, largest first */
+    float B[48];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[6];   /* -16384 where a row counts as zero */
+    skewed_thrusters_f32_normal normal;
+    skewed_thrusters_f32_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    float left[36];
+    float right[48];
+    float sigma[6];
+    float gain[6];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    float least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } skewed_thrusters_f32_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void skewed_thrusters_f32_unscale_rows(skewed_thrusters_f32_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void skewed_thrusters_f32_undo_scaling(skewed_thrusters_f32_factors *f, int top)
+{
+    float F[36]; /* column k in F + 6 k; reflections below the diagonal, R above */
+    float corner[6], weight[6], e[6], x[6];
+    int row[6], column[6];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 6; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 6; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[6 * k + i] = exponent == -16384 ? 0.0f :
+                skewed_thrusters_f32_shift(f->left[6 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint32_t best = 0;
+        float *v;
+        float square = 0.0f;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint32_t largest = skewed_thrusters_f32_largest(F + 6 * column[j] + k, 6 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0f;
+        corner[k] = 0.0f;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = skewed_thrusters_f32_exponent(best);
+        v = F + 6 * j;
+        for (i = k; i < 6; ++i) {
+            v[i] = skewed_thrusters_f32_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = skewed_thrusters_f32_sqrt(square);
+        corner[k] = skewed_thrusters_f32_shift(v[k] > 0.0f ? -square : square, unit);
+        v[k] += v[k] > 0.0f ? square : -square;
+        weight[k] = 1.0f / (square * skewed_thrusters_f32_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            float *const other = F + 6 * column[j];
+            float along = 0.0f;
+            for (i = k; i < 6; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 6; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 6; ++i) {
+        x[i] = 0.0f;
+    }
+    for (i = 0; i < 6; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 6; ++j) {
+            e[j] = i == j ? 1.0f : 0.0f;
+        }
+        for (k = 0; k < rank; ++k) {
+            const float *const v = F + 6 * column[k];
+            float along = 0.0f;
+            for (j = k; j < 6; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 6; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            float sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[6 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0f || corner[k] > 0.0f ? sum / corner[k] : 0.0f;
+            f->left[6 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0f;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void skewed_thrusters_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 6; ++i) {
-        if (f->exponent[i] != -16384) {
+        const float *const row = S + 8 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+            skewed_thrusters_f32_spread(row, skewed_thrusters_f32_power(-exponent[i]), B + 8 * i);
+        } else {
+            float shifted[8];
             for (j = 0; j < 8; ++j) {
-                f->S[8 * i + j] = skewed_thrusters_f32_shift(f->S[8 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0f : skewed_thrusters_f32_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            skewed_thrusters_f32_spread(shifted, 1.0f, B + 8 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int skewed_thrusters_f32_decompose(skewed_thrusters_f32_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int skewed_thrusters_f32_values(skewed_thrusters_f32_factors *f, float *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 48; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 6; ++i) {
-        for (j = 0; j < 6; ++j) {
-            f->left[6 * i + j] = i == j ? 1.0f : 0.0f;
-        }
-    }
-    sweeps = skewed_thrusters_f32_jacobi(f->right, 8, f->left, 6, 6, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = skewed_thrusters_f32_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int skewed_thrusters_f32_undo_scaling(skewed_thrusters_f32_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void skewed_thrusters_f32_vectors(skewed_thrusters_f32_factors *f, const float *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
-        for (i = 0; i < 8; ++i) {
-            f->right[8 * k + i] /= f->sigma[k];
-        }
+        float *const near = f->left + 6 * k;
+        float *const far = f->right + 8 * k;
+        f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 6; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[6 * k + i] *= f->sigma[k];
-                f->left[6 * k + i] = skewed_thrusters_f32_shift(f->left[6 * k + i], f->exponent[i] - top);
+            near[i] = u[8 * k + i];
+        }
+        for (j = 0; j < 8; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 6; ++i) {
+            for (j = 0; j < 8; ++j) {
+                far[j] += near[i] * f->B[8 * i + j];
             }
         }
+        for (j = 0; j < 8; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    skewed_thrusters_f32_unscale_rows(f, top);
-    sweeps = skewed_thrusters_f32_jacobi(f->left, 6, f->right, 8, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int skewed_thrusters_f32_factorise(const float *S, skewed_thrusters_f32_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise_svd(const float *S, skewed_thrusters_f32_factors *f, int top, int bottom)
+{
+    float u[48];
+    int i;
+    f->path = SKEWED_THRUSTERS_F32_PATH_SVD;
+    if (!skewed_thrusters_f32_values(f, u)) {
+        return SKEWED_THRUSTERS_F32_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 6; ++i) {
+        f->rank += f->sigma[i] > 9.536743e-7f * f->sigma[0];
+    }
+    f->direct = f->rank == 6;
+    if (!f->direct) {
+        skewed_thrusters_f32_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            skewed_thrusters_f32_undo_scaling(f, top);
+            for (i = 0; i < 6; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            skewed_thrusters_f32_scale(S, f->exponent, f->B);
+        }
+    }
+    return SKEWED_THRUSTERS_F32_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise(const float *S, skewed_thrusters_f32_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 6; ++i) {
         skewed_thrusters_f32_word word;
         word.bits = skewed_thrusters_f32_largest(S + 8 * i, 8);
@@ -330,51 +806,45 @@ static int skewed_thrusters_f32_factorise(const float *S, skewed_thrusters_f32_f
         }
     }
     f->uniform = active == 6 && top == bottom;
-    for (i = 0; i < 6; ++i) {
-        for (j = 0; j < 8; ++j) {
-            f->S[8 * i + j] =
-                f->exponent[i] == -16384 ? 0.0f : skewed_thrusters_f32_shift(S[8 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!skewed_thrusters_f32_decompose(f)) {
-        return SKEWED_THRUSTERS_F32_NOT_CONVERGED;
-    }
-    f->least = f->sigma[5];
-    for (i = 0; i < 6; ++i) {
-        f->rank += f->sigma[i] > 9.536743e-7f * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!skewed_thrusters_f32_undo_scaling(f, top)) {
-            return SKEWED_THRUSTERS_F32_NOT_CONVERGED;
+    skewed_thrusters_f32_scale(S, f->exponent, f->B);
+    if (active >= 6) {
+        int known = 1;
+        f->rank = 6;
+        f->path = SKEWED_THRUSTERS_F32_PATH_NORMAL;
+        if (after_normal || skewed_thrusters_f32_normal_factor(f->B, &f->normal) != 1) {
+            f->path = SKEWED_THRUSTERS_F32_PATH_QR;
+            f->direct = 1;
+            skewed_thrusters_f32_qr_factor(f->B, &f->qr);
+            known = skewed_thrusters_f32_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return SKEWED_THRUSTERS_F32_OK;
+        }
+        f->direct = 0;
+    } else {
+        skewed_thrusters_f32_qr_factor(f->B, &f->qr);
     }
-    return SKEWED_THRUSTERS_F32_OK;
+    return skewed_thrusters_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static float skewed_thrusters_f32_sigma_min(const float *S, const skewed_thrusters_f32_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static SKEWED_THRUSTERS_F32_APART float skewed_thrusters_f32_sigma_min(const float *S, skewed_thrusters_f32_factors *f)
 {
     const uint32_t magnitude = skewed_thrusters_f32_largest(S, 48);
     const int top = magnitude == 0 ? 0 : skewed_thrusters_f32_exponent(magnitude);
-    float v[48];
-    float sigma[6];
-    float least;
+    float u[48];
     int i;
-    if (f->uniform) {
-        return skewed_thrusters_f32_shift(f->least, top);
+    if (f->path != SKEWED_THRUSTERS_F32_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 6; ++i) {
+            f->exponent[i] = top;
+        }
+        skewed_thrusters_f32_scale(S, f->exponent, f->B);
+        skewed_thrusters_f32_qr_factor(f->B, &f->qr);
+        (void)skewed_thrusters_f32_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 48; ++i) {
-        v[i] = skewed_thrusters_f32_shift(S[i], -top);
-    }
-    (void)skewed_thrusters_f32_jacobi(v, 8, v, 0, 6, sigma);
-    least = sigma[0];
-    for (i = 1; i < 6; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return skewed_thrusters_f32_shift(least, top);
+    return skewed_thrusters_f32_shift(f->sigma[5], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -456,35 +926,112 @@ static int skewed_thrusters_f32_consistent(const float *S, const float *z, const
     return met;
 }
 
-/* x = S+ r. */
-static void skewed_thrusters_f32_apply(const skewed_thrusters_f32_factors *f, const float *r, float *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void skewed_thrusters_f32_qr_apply(const skewed_thrusters_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    int k, i, j;
+    const float *const p_0 = f->P + 8 * f->order[0];
+    const float w_0 = r[f->order[0]];
+    const float *const row_1 = f->L + 6 * f->order[1];
+    const float *const p_1 = f->P + 8 * f->order[1];
+    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const float *const row_2 = f->L + 6 * f->order[2];
+    const float *const p_2 = f->P + 8 * f->order[2];
+    const float w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    const float *const row_3 = f->L + 6 * f->order[3];
+    const float *const p_3 = f->P + 8 * f->order[3];
+    const float w_3 = r[f->order[3]] - row_3[0] * w_0 - row_3[1] * w_1 - row_3[2] * w_2;
+    const float *const row_4 = f->L + 6 * f->order[4];
+    const float *const p_4 = f->P + 8 * f->order[4];
+    const float w_4 = r[f->order[4]] - row_4[0] * w_0 - row_4[1] * w_1 - row_4[2] * w_2 - row_4[3] * w_3;
+    const float *const row_5 = f->L + 6 * f->order[5];
+    const float *const p_5 = f->P + 8 * f->order[5];
+    const float w_5 = r[f->order[5]] - row_5[0] * w_0 - row_5[1] * w_1 - row_5[2] * w_2 - row_5[3] * w_3 - row_5[4] * w_4;
+    float c_0 = w_0 * f->inverse[0];
+    float c_1 = w_1 * f->inverse[1];
+    float c_2 = w_2 * f->inverse[2];
+    float c_3 = w_3 * f->inverse[3];
+    float c_4 = w_4 * f->inverse[4];
+    float c_5 = w_5 * f->inverse[5];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 8; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j] + c_3 * p_3[j] + c_4 * p_4[j] + c_5 * p_5[j];
+        }
+        return;
+    }
+    for (j = 0; j < 8; ++j) {
+        x[j] = c_5 * p_5[j];
+    }
+    c_4 = (w_4 - skewed_thrusters_f32_inner(p_4, x)) * f->inverse[4];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_4 * p_4[j];
+    }
+    c_3 = (w_3 - skewed_thrusters_f32_inner(p_3, x)) * f->inverse[3];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_3 * p_3[j];
+    }
+    c_2 = (w_2 - skewed_thrusters_f32_inner(p_2, x)) * f->inverse[2];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_2 * p_2[j];
+    }
+    c_1 = (w_1 - skewed_thrusters_f32_inner(p_1, x)) * f->inverse[1];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_1 * p_1[j];
+    }
+    c_0 = (w_0 - skewed_thrusters_f32_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void skewed_thrusters_f32_normal_apply(const skewed_thrusters_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+{
+    float w[6];
+    int j;
+    skewed_thrusters_f32_normal_solve(f, r, w);
+    for (j = 0; j < 8; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
+    }
+}
+
+
+/* x = S+ r, from the step of the ladder that held. */
+static void skewed_thrusters_f32_apply(const skewed_thrusters_f32_factors *f, const float *r, float *x, int careful)
+{
+    int i, j, k;
+    if (f->path == SKEWED_THRUSTERS_F32_PATH_NORMAL) {
+        skewed_thrusters_f32_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        skewed_thrusters_f32_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 8; ++j) {
         x[j] = 0.0f;
     }
     for (k = 0; k < f->rank; ++k) {
         const float *const left = f->left + 6 * k;
-        const float *const right = f->right + 8 * k;
         float along = left[0] * r[0];
         for (i = 1; i < 6; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0f) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 8; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[8 * k + j];
         }
     }
 }
 
-static int skewed_thrusters_f32_pinv_core(const float *S, float *S_pinv, skewed_thrusters_f32_info *info)
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_pinv_core(const float *S, float *S_pinv, skewed_thrusters_f32_info *info)
 {
     skewed_thrusters_f32_factors f;
     float unit[6], x[8], answer[48];
     int status, i, j;
-    status = skewed_thrusters_f32_factorise(S, &f);
+    status = skewed_thrusters_f32_factorise(S, &f, 1);
     if (status < 0) {
         return skewed_thrusters_f32_refuse(status, info);
     }
@@ -494,7 +1041,7 @@ static int skewed_thrusters_f32_pinv_core(const float *S, float *S_pinv, skewed_
     for (i = 0; i < 6; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0f;
-        skewed_thrusters_f32_apply(&f, unit, x);
+        skewed_thrusters_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
         for (j = 0; j < 8; ++j) {
             answer[6 * j + i] = zero_row ? 0.0f : skewed_thrusters_f32_shift(x[j], -f.exponent[i]);
@@ -506,7 +1053,7 @@ static int skewed_thrusters_f32_pinv_core(const float *S, float *S_pinv, skewed_
     status = f.rank < 6 ? SKEWED_THRUSTERS_F32_RANK_DEFICIENT_CONSISTENT : SKEWED_THRUSTERS_F32_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = SKEWED_THRUSTERS_F32_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = skewed_thrusters_f32_sigma_min(S, &f);

@@ -11,8 +11,7 @@
 #error "build skewed_thrusters.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 6 x 8, row-major: one-sided Jacobi on the rows of S ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 6 x 8, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
 
 typedef union {
     double value;
@@ -91,6 +90,13 @@ static double skewed_thrusters_sqrt(double x)
 #endif
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define SKEWED_THRUSTERS_APART __attribute__((noinline))
+#else
+#define SKEWED_THRUSTERS_APART
+#endif
+
 /* 2^k, -1022 <= k <= 1023. */
 static double skewed_thrusters_power(int k)
 {
@@ -103,6 +109,9 @@ static double skewed_thrusters_power(int k)
 static double skewed_thrusters_shift(double x, int k)
 {
     int step;
+    if (k >= -1022 && k <= 1023) {
+        return x * skewed_thrusters_power(k);
+    }
     for (step = 0; step < 3 && k > 1023; ++step) {
         x *= skewed_thrusters_power(1023);
         k -= 1023;
@@ -141,96 +150,409 @@ static double skewed_thrusters_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-static double skewed_thrusters_dot(const double *a, const double *b, int n)
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int skewed_thrusters_within(double x, uint64_t low, uint64_t high)
 {
-    double sum = a[0] * b[0];
-    int i;
-    for (i = 1; i < n; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
+    return (skewed_thrusters_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* (a, b) = (c a - s b, s a + c b), as a correction by s and h = s / (1 + c): rounds less (Rutishauser 1966). */
-static void skewed_thrusters_rotate(double *a, double *b, int n, double s, double h)
+static void skewed_thrusters_spread(const double *restrict v, double factor, double *restrict w)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        const double y = b[i];
-        a[i] = x - s * (y + h * x);
-        b[i] = y + s * (x - h * y);
+    int k;
+    for (k = 0; k < 8; ++k) {
+        w[k] = factor * v[k];
     }
 }
 
-static void skewed_thrusters_swap(double *a, double *b, int n)
+/* a b, in four sums that a machine with vectors and one without add up alike. */
+static double skewed_thrusters_inner(const double *a, const double *b)
 {
-    int i;
-    for (i = 0; i < n; ++i) {
-        const double x = a[i];
-        a[i] = b[i];
-        b[i] = x;
+    double sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = a[k] * b[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += a[k + 4] * b[k + 4];
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+typedef struct {
+    double lower[15]; /* L below its unit diagonal, row by row */
+    double inverse[6]; /* 1 / D */
+} skewed_thrusters_normal;
+
+/* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
+   0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
+
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 4.3e-14, the rounding of the product:
+   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_normal *f)
+{
+    const double g_0_0 = skewed_thrusters_inner(B, B);
+    const double g_1_1 = skewed_thrusters_inner(B + 8, B + 8);
+    const double g_2_2 = skewed_thrusters_inner(B + 16, B + 16);
+    const double g_3_3 = skewed_thrusters_inner(B + 24, B + 24);
+    const double g_4_4 = skewed_thrusters_inner(B + 32, B + 32);
+    const double g_5_5 = skewed_thrusters_inner(B + 40, B + 40);
+    const double g_1_0 = skewed_thrusters_inner(B + 8, B);
+    const double g_2_0 = skewed_thrusters_inner(B + 16, B);
+    const double g_2_1 = skewed_thrusters_inner(B + 16, B + 8);
+    const double g_3_0 = skewed_thrusters_inner(B + 24, B);
+    const double g_3_1 = skewed_thrusters_inner(B + 24, B + 8);
+    const double g_3_2 = skewed_thrusters_inner(B + 24, B + 16);
+    const double g_4_0 = skewed_thrusters_inner(B + 32, B);
+    const double g_4_1 = skewed_thrusters_inner(B + 32, B + 8);
+    const double g_4_2 = skewed_thrusters_inner(B + 32, B + 16);
+    const double g_4_3 = skewed_thrusters_inner(B + 32, B + 24);
+    const double g_5_0 = skewed_thrusters_inner(B + 40, B);
+    const double g_5_1 = skewed_thrusters_inner(B + 40, B + 8);
+    const double g_5_2 = skewed_thrusters_inner(B + 40, B + 16);
+    const double g_5_3 = skewed_thrusters_inner(B + 40, B + 24);
+    const double g_5_4 = skewed_thrusters_inner(B + 40, B + 32);
+    double d_0, i_0;
+    double d_1, i_1;
+    double d_2, i_2;
+    double d_3, i_3;
+    double d_4, i_4;
+    double d_5, i_5;
+    double v_1_0, l_1_0, n_1_0;
+    double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
+    double v_3_0, l_3_0, n_3_0, v_3_1, l_3_1, n_3_1, v_3_2, l_3_2, n_3_2;
+    double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
+    double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
+    double bound;
+    if (!skewed_thrusters_within(g_0_0, 523, 1523) || !skewed_thrusters_within(g_1_1, 523, 1523) || !skewed_thrusters_within(g_2_2, 523, 1523) || !skewed_thrusters_within(g_3_3, 523, 1523) || !skewed_thrusters_within(g_4_4, 523, 1523) || !skewed_thrusters_within(g_5_5, 523, 1523)) {
+        return -1;
+    }
+    d_0 = g_0_0;
+    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_0 = 1.0 / d_0;
+    v_1_0 = g_1_0;
+    l_1_0 = v_1_0 * i_0;
+    v_2_0 = g_2_0;
+    l_2_0 = v_2_0 * i_0;
+    v_3_0 = g_3_0;
+    l_3_0 = v_3_0 * i_0;
+    v_4_0 = g_4_0;
+    l_4_0 = v_4_0 * i_0;
+    v_5_0 = g_5_0;
+    l_5_0 = v_5_0 * i_0;
+    d_1 = g_1_1 - v_1_0 * l_1_0;
+    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_1 = 1.0 / d_1;
+    v_2_1 = g_2_1 - v_2_0 * l_1_0;
+    l_2_1 = v_2_1 * i_1;
+    v_3_1 = g_3_1 - v_3_0 * l_1_0;
+    l_3_1 = v_3_1 * i_1;
+    v_4_1 = g_4_1 - v_4_0 * l_1_0;
+    l_4_1 = v_4_1 * i_1;
+    v_5_1 = g_5_1 - v_5_0 * l_1_0;
+    l_5_1 = v_5_1 * i_1;
+    d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
+    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_2 = 1.0 / d_2;
+    v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
+    l_3_2 = v_3_2 * i_2;
+    v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
+    l_4_2 = v_4_2 * i_2;
+    v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
+    l_5_2 = v_5_2 * i_2;
+    d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
+    if (!(d_3 > 3.666852862501036e-11 * g_3_3)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_3 = 1.0 / d_3;
+    v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
+    l_4_3 = v_4_3 * i_3;
+    v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
+    l_5_3 = v_5_3 * i_3;
+    d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
+    if (!(d_4 > 3.666852862501036e-11 * g_4_4)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_4 = 1.0 / d_4;
+    v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
+    l_5_4 = v_5_4 * i_4;
+    d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
+    if (!(d_5 > 3.666852862501036e-11 * g_5_5)) { /* bound exceeds g / d */
+        return 0;
+    }
+    i_5 = 1.0 / d_5;
+    n_1_0 = skewed_thrusters_abs(l_1_0);
+    n_2_1 = skewed_thrusters_abs(l_2_1);
+    n_2_0 = skewed_thrusters_abs(l_2_0) + skewed_thrusters_abs(l_2_1) * n_1_0;
+    n_3_2 = skewed_thrusters_abs(l_3_2);
+    n_3_1 = skewed_thrusters_abs(l_3_1) + skewed_thrusters_abs(l_3_2) * n_2_1;
+    n_3_0 = skewed_thrusters_abs(l_3_0) + skewed_thrusters_abs(l_3_1) * n_1_0 + skewed_thrusters_abs(l_3_2) * n_2_0;
+    n_4_3 = skewed_thrusters_abs(l_4_3);
+    n_4_2 = skewed_thrusters_abs(l_4_2) + skewed_thrusters_abs(l_4_3) * n_3_2;
+    n_4_1 = skewed_thrusters_abs(l_4_1) + skewed_thrusters_abs(l_4_2) * n_2_1 + skewed_thrusters_abs(l_4_3) * n_3_1;
+    n_4_0 = skewed_thrusters_abs(l_4_0) + skewed_thrusters_abs(l_4_1) * n_1_0 + skewed_thrusters_abs(l_4_2) * n_2_0 + skewed_thrusters_abs(l_4_3) * n_3_0;
+    n_5_4 = skewed_thrusters_abs(l_5_4);
+    n_5_3 = skewed_thrusters_abs(l_5_3) + skewed_thrusters_abs(l_5_4) * n_4_3;
+    n_5_2 = skewed_thrusters_abs(l_5_2) + skewed_thrusters_abs(l_5_3) * n_3_2 + skewed_thrusters_abs(l_5_4) * n_4_2;
+    n_5_1 = skewed_thrusters_abs(l_5_1) + skewed_thrusters_abs(l_5_2) * n_2_1 + skewed_thrusters_abs(l_5_3) * n_3_1 + skewed_thrusters_abs(l_5_4) * n_4_1;
+    n_5_0 = skewed_thrusters_abs(l_5_0) + skewed_thrusters_abs(l_5_1) * n_1_0 + skewed_thrusters_abs(l_5_2) * n_2_0 + skewed_thrusters_abs(l_5_3) * n_3_0 + skewed_thrusters_abs(l_5_4) * n_4_0;
+    bound = g_0_0 * i_0;
+    bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
+    bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
+    bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
+    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
+    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
+    if (!(bound <= 27271342415.357616)) {
+        return 0;
+    }
+    f->inverse[0] = i_0;
+    f->inverse[1] = i_1;
+    f->inverse[2] = i_2;
+    f->inverse[3] = i_3;
+    f->inverse[4] = i_4;
+    f->inverse[5] = i_5;
+    f->lower[0] = l_1_0;
+    f->lower[1] = l_2_0;
+    f->lower[2] = l_2_1;
+    f->lower[3] = l_3_0;
+    f->lower[4] = l_3_1;
+    f->lower[5] = l_3_2;
+    f->lower[6] = l_4_0;
+    f->lower[7] = l_4_1;
+    f->lower[8] = l_4_2;
+    f->lower[9] = l_4_3;
+    f->lower[10] = l_5_0;
+    f->lower[11] = l_5_1;
+    f->lower[12] = l_5_2;
+    f->lower[13] = l_5_3;
+    f->lower[14] = l_5_4;
+    return 1;
+}
+
+/* w = (B B^T)^-1 r. */
+static void skewed_thrusters_normal_solve(const skewed_thrusters_normal *f, const double *r, double *w)
+{
+    const double a_0 = r[0];
+    const double a_1 = r[1] - f->lower[0] * a_0;
+    const double a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
+    const double a_3 = r[3] - f->lower[3] * a_0 - f->lower[4] * a_1 - f->lower[5] * a_2;
+    const double a_4 = r[4] - f->lower[6] * a_0 - f->lower[7] * a_1 - f->lower[8] * a_2 - f->lower[9] * a_3;
+    const double a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3 - f->lower[14] * a_4;
+    const double b_5 = f->inverse[5] * a_5;
+    const double b_4 = f->inverse[4] * a_4 - f->lower[14] * b_5;
+    const double b_3 = f->inverse[3] * a_3 - f->lower[13] * b_5 - f->lower[9] * b_4;
+    const double b_2 = f->inverse[2] * a_2 - f->lower[12] * b_5 - f->lower[8] * b_4 - f->lower[5] * b_3;
+    const double b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3 - f->lower[2] * b_2;
+    const double b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    w[0] = b_0;
+    w[1] = b_1;
+    w[2] = b_2;
+    w[3] = b_3;
+    w[4] = b_4;
+    w[5] = b_5;
+}
+
+/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
+   the rows that were pivots before. */
+typedef struct {
+    double P[48];
+    double L[36];
+    double square[6];  /* squared length of the k-th pivot */
+    double inverse[6]; /* its inverse */
+    int order[6];
+    double total;   /* |B|_F^2 */
+    int steps;          /* pivots that are not zero */
+} skewed_thrusters_qr;
+
+/* rest -= along pivot, its squared length. */
+static double skewed_thrusters_take_out(double *restrict rest, const double *restrict pivot, double along)
+{
+    int j;
+    for (j = 0; j < 8; ++j) {
+        rest[j] -= along * pivot[j];
+    }
+    return skewed_thrusters_inner(rest, rest);
+}
+
+static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
+{
+    double left[6]; /* squared lengths of what is left of each row */
+    int i, k;
+    for (i = 0; i < 48; ++i) {
+        f->P[i] = B[i];
+    }
+    for (i = 0; i < 6; ++i) {
+        left[i] = skewed_thrusters_inner(B + 8 * i, B + 8 * i);
+        f->total = i == 0 ? left[0] : f->total + left[i];
+        f->order[i] = i;
+    }
+    f->steps = 0;
+    for (k = 0; k < 6; ++k) {
+        uint64_t best = skewed_thrusters_magnitude(left[f->order[k]]);
+        const double *pivot;
+        double square, inverse;
+        int at = k;
+        for (i = k + 1; i < 6; ++i) {
+            const uint64_t other = skewed_thrusters_magnitude(left[f->order[i]]); /* integers: no branch */
+            at = other > best ? i : at;
+            best = other > best ? other : best;
+        }
+        i = f->order[at];
+        f->order[at] = f->order[k];
+        f->order[k] = i;
+        pivot = f->P + 8 * i;
+        square = left[i];
+        f->L[6 * i + k] = 1.0;
+        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+            return;
+        }
+        f->steps = k + 1;
+        inverse = 1.0 / square;
+        f->square[k] = square;
+        f->inverse[k] = inverse;
+        for (i = k + 1; i < 6; ++i) {
+            const int row = f->order[i];
+            double *const rest = f->P + 8 * row;
+            const double along = skewed_thrusters_inner(pivot, rest) * inverse;
+            f->L[6 * row + k] = along;
+            left[row] = skewed_thrusters_take_out(rest, pivot, along);
+        }
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989): rotates the `count` vectors v_k, `length` long, until they
-   are orthogonal, and the companions w_k, `width` long, along with them. sigma_k = |v_k|, largest first.
+/* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above but
+   of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
+{
+    /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
+    const double *const row_1 = f->L + 6 * f->order[1];
+    double n_1_0;
+    const double *const row_2 = f->L + 6 * f->order[2];
+    double n_2_0, n_2_1;
+    const double *const row_3 = f->L + 6 * f->order[3];
+    double n_3_0, n_3_1, n_3_2;
+    const double *const row_4 = f->L + 6 * f->order[4];
+    double n_4_0, n_4_1, n_4_2, n_4_3;
+    const double *const row_5 = f->L + 6 * f->order[5];
+    double n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
+    double bound;
+    double total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    n_1_0 = skewed_thrusters_abs(row_1[0]);
+    n_2_1 = skewed_thrusters_abs(row_2[1]);
+    n_2_0 = skewed_thrusters_abs(row_2[0]) + skewed_thrusters_abs(row_2[1]) * n_1_0;
+    n_3_2 = skewed_thrusters_abs(row_3[2]);
+    n_3_1 = skewed_thrusters_abs(row_3[1]) + skewed_thrusters_abs(row_3[2]) * n_2_1;
+    n_3_0 = skewed_thrusters_abs(row_3[0]) + skewed_thrusters_abs(row_3[1]) * n_1_0 + skewed_thrusters_abs(row_3[2]) * n_2_0;
+    n_4_3 = skewed_thrusters_abs(row_4[3]);
+    n_4_2 = skewed_thrusters_abs(row_4[2]) + skewed_thrusters_abs(row_4[3]) * n_3_2;
+    n_4_1 = skewed_thrusters_abs(row_4[1]) + skewed_thrusters_abs(row_4[2]) * n_2_1 + skewed_thrusters_abs(row_4[3]) * n_3_1;
+    n_4_0 = skewed_thrusters_abs(row_4[0]) + skewed_thrusters_abs(row_4[1]) * n_1_0 + skewed_thrusters_abs(row_4[2]) * n_2_0 + skewed_thrusters_abs(row_4[3]) * n_3_0;
+    n_5_4 = skewed_thrusters_abs(row_5[4]);
+    n_5_3 = skewed_thrusters_abs(row_5[3]) + skewed_thrusters_abs(row_5[4]) * n_4_3;
+    n_5_2 = skewed_thrusters_abs(row_5[2]) + skewed_thrusters_abs(row_5[3]) * n_3_2 + skewed_thrusters_abs(row_5[4]) * n_4_2;
+    n_5_1 = skewed_thrusters_abs(row_5[1]) + skewed_thrusters_abs(row_5[2]) * n_2_1 + skewed_thrusters_abs(row_5[3]) * n_3_1 + skewed_thrusters_abs(row_5[4]) * n_4_1;
+    n_5_0 = skewed_thrusters_abs(row_5[0]) + skewed_thrusters_abs(row_5[1]) * n_1_0 + skewed_thrusters_abs(row_5[2]) * n_2_0 + skewed_thrusters_abs(row_5[3]) * n_3_0 + skewed_thrusters_abs(row_5[4]) * n_4_0;
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
+    bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
+    bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
+    bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
+    return bound * total < 1.1091942751997008e+28;
+}
+
+/* a b, over the 8 numbers (the last 2 zero) of the triangle's columns. */
+static double skewed_thrusters_short(const double *a, const double *b)
+{
+    double sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = a[k] * b[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += a[k + 4] * b[k + 4];
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+/* Turns (a, b) by the angle of sine s, h = s / (1 + cos). */
+static void skewed_thrusters_rotate(double *restrict a, double *restrict b, double s, double h)
+{
+    int k;
+    for (k = 0; k < 8; ++k) {
+        const double x = a[k];
+        const double y = b[k];
+        a[k] = x - s * (y + h * x);
+        b[k] = y + s * (x - h * y);
+    }
+}
+
+/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
+   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
+   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
-static int skewed_thrusters_jacobi(double *v, int length, double *w, int width, int count, double *sigma)
+static int skewed_thrusters_jacobi(double *t, int count, double *square)
 {
-    double floor_norm = 0.0;
-    int sweep, i, j;
+    double least = 0.0;
+    int sweep, i, j, k;
     for (i = 0; i < count; ++i) {
-        const double square = skewed_thrusters_dot(v + length * i, v + length * i, length);
-        floor_norm += square;
-        sigma[i] = skewed_thrusters_sqrt(square);
+        square[i] = skewed_thrusters_short(t + 8 * i, t + 8 * i);
+        least += square[i];
     }
-    floor_norm = 2.220446049250313e-16 * skewed_thrusters_sqrt(floor_norm);
+    least *= 4.930380657631324e-32;
     for (sweep = 1; sweep <= 10; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
-            double *const a = v + length * i;
+            double *const a = t + 8 * i;
             int top = i;
             for (j = i + 1; j < count; ++j) {
-                if (sigma[j] > sigma[top]) {
-                    top = j;
-                }
+                top = square[j] > square[top] ? j : top;
             }
             if (top != i) {
-                const double norm = sigma[i];
-                sigma[i] = sigma[top];
-                sigma[top] = norm;
-                skewed_thrusters_swap(a, v + length * top, length);
-                skewed_thrusters_swap(w + width * i, w + width * top, width);
+                double *const b = t + 8 * top;
+                const double length = square[i];
+                square[i] = square[top];
+                square[top] = length;
+                for (k = 0; k < 8; ++k) {
+                    const double x = a[k];
+                    a[k] = b[k];
+                    b[k] = x;
+                }
             }
             for (j = i + 1; j < count; ++j) {
-                double *const b = v + length * j;
-                double inner, product, zeta, t, c, s, h;
-                if (sigma[i] <= floor_norm || sigma[j] <= floor_norm) {
-                    continue; /* rounding noise never becomes orthogonal */
-                }
-                inner = skewed_thrusters_dot(a, b, length);
-                product = sigma[i] * sigma[j];
-                if (skewed_thrusters_abs(inner) <= 3.1401849173675503e-16 * product) {
+                double *const b = t + 8 * j;
+                const double inner = skewed_thrusters_short(a, b);
+                const double product = square[i] * square[j];
+                const double gap = square[i] - square[j];
+                double h, c, s;
+                if (inner * inner <= 9.86076131526265e-32 * product) {
                     continue;
                 }
-                if (skewed_thrusters_abs(inner) > 1.3322676295501878e-15 * product) { /* more than rounding can bring back */
+                if (square[i] <= least || square[j] <= least) {
+                    continue; /* rounding noise never becomes orthogonal */
+                }
+                if (inner * inner > 1.7749370367472766e-30 * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
-                zeta = (sigma[j] - sigma[i]) * (sigma[j] + sigma[i]) / (2.0 * inner);
-                if (skewed_thrusters_abs(zeta) > 67108864.0) { /* zeta^2 could overflow, and 1 is lost in it */
-                    t = 0.5 / zeta;
-                } else {
-                    t = 1.0 / (skewed_thrusters_abs(zeta) + skewed_thrusters_sqrt(1.0 + zeta * zeta));
-                    t = zeta < 0.0 ? -t : t;
-                }
-                c = 1.0 / skewed_thrusters_sqrt(1.0 + t * t);
-                s = c * t;
-                h = s / (1.0 + c);
-                skewed_thrusters_rotate(a, b, length, s, h);
-                skewed_thrusters_rotate(w + width * i, w + width * j, width, s, h);
-                sigma[i] = skewed_thrusters_sqrt(skewed_thrusters_dot(a, a, length));
-                sigma[j] = skewed_thrusters_sqrt(skewed_thrusters_dot(b, b, length));
+                /* cos and sin of half the angle of (gap, 2 inner) */
+                h = skewed_thrusters_sqrt(gap * gap + 4.0 * inner * inner);
+                c = skewed_thrusters_sqrt(0.5 + 0.5 * (skewed_thrusters_abs(gap) / h));
+                s = gap < 0.0 ? inner : -inner;
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                           c and s (Rutishauser 1966) */
+                c = s / (h * (1.0 + c));
+                s /= h;
+                skewed_thrusters_rotate(a, b, s, c);
+                square[i] = skewed_thrusters_short(a, a);
+                square[j] = skewed_thrusters_short(b, b);
             }
         }
         if (!turned) {
@@ -240,81 +562,235 @@ static int skewed_thrusters_jacobi(double *v, int length, double *w, int width, 
     return 0;
 }
 
+/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
+   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int skewed_thrusters_svd(const skewed_thrusters_qr *f, double *left, double *sigma)
+{
+    int i, k;
+    int sweeps;
+    for (k = 0; k < 48; ++k) {
+        left[k] = 0.0;
+    }
+    for (k = 0; k < f->steps; ++k) {
+        const double length = skewed_thrusters_sqrt(f->square[k]);
+        for (i = k; i < 6; ++i) {
+            left[8 * k + f->order[i]] = f->L[6 * f->order[i] + k] * length;
+        }
+    }
+    for (k = f->steps; k < 6; ++k) {
+        sigma[k] = 0.0;
+    }
+    sweeps = skewed_thrusters_jacobi(left, f->steps, sigma);
+    for (k = 0; k < f->steps; ++k) {
+        const double length = skewed_thrusters_sqrt(sigma[k]);
+        const double inverse = length > 0.0 ? 1.0 / length : 0.0;
+        sigma[k] = length;
+        for (i = 0; i < 8; ++i) {
+            left[8 * k + i] *= inverse;
+        }
+    }
+    return sweeps;
+}
+
 typedef struct {
-    double S[48];     /* row i times 2^-exponent[i]; zero where the row counts as zero */
-    int exponent[6];   /* -16384 where the row counts as zero */
-    double left[36];  /* S = sum_k left_k right_k^T, both families orthogonal, */
-    double right[48]; /* one of them orthonormal, */
-    double sigma[6];     /* the other of these lengths, largest first */
+    double B[48];  /* the rows of S, row i of S times 2^-exponent[i] */
+    int exponent[6];   /* -16384 where a row counts as zero */
+    skewed_thrusters_normal normal;
+    skewed_thrusters_qr qr;
+    /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
+    double left[36];
+    double right[48];
+    double sigma[6];
+    double gain[6];
+    int direct;        /* full rank and undamped: the answer is that of the QR */
+    int path;
     int rank;
     int sweeps;
-    int uniform;       /* all rows have one exponent and none counts as zero */
-    double least;  /* smallest singular value of S above: that of the raw S if uniform */
+    int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } skewed_thrusters_factors;
 
-/* Brings the rows of f->S from their own exponents to the common one, `top`. */
-static void skewed_thrusters_unscale_rows(skewed_thrusters_factors *f, int top)
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
+   row however far the scales lie apart (Cox and Higham 1998). */
+static void skewed_thrusters_undo_scaling(skewed_thrusters_factors *f, int top)
+{
+    double F[36]; /* column k in F + 6 k; reflections below the diagonal, R above */
+    double corner[6], weight[6], e[6], x[6];
+    int row[6], column[6];
+    const int rank = f->rank;
+    int i, j, k;
+    for (i = 0; i < 6; ++i) { /* insertion by exponent, largest first */
+        for (k = i; k > 0 && f->exponent[row[k - 1]] < f->exponent[i]; --k) {
+            row[k] = row[k - 1];
+        }
+        row[k] = i;
+    }
+    for (k = 0; k < rank; ++k) {
+        column[k] = k;
+        for (i = 0; i < 6; ++i) {
+            const int exponent = f->exponent[row[i]];
+            F[6 * k + i] = exponent == -16384 ? 0.0 :
+                skewed_thrusters_shift(f->left[6 * k + row[i]] * f->sigma[k], exponent - top);
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        uint64_t best = 0;
+        double *v;
+        double square = 0.0;
+        int at = k;
+        int unit;
+        for (j = k; j < rank; ++j) { /* by the largest entry: as good as the length, and nothing underflows */
+            const uint64_t largest = skewed_thrusters_largest(F + 6 * column[j] + k, 6 - k);
+            at = largest > best ? j : at;
+            best = largest > best ? largest : best;
+        }
+        j = column[at];
+        column[at] = column[k];
+        column[k] = j;
+        weight[k] = 0.0;
+        corner[k] = 0.0;
+        if (best == 0) {
+            continue; /* underflowed: weighs nothing */
+        }
+        unit = skewed_thrusters_exponent(best);
+        v = F + 6 * j;
+        for (i = k; i < 6; ++i) {
+            v[i] = skewed_thrusters_shift(v[i], -unit);
+            square += v[i] * v[i];
+        }
+        square = skewed_thrusters_sqrt(square);
+        corner[k] = skewed_thrusters_shift(v[k] > 0.0 ? -square : square, unit);
+        v[k] += v[k] > 0.0 ? square : -square;
+        weight[k] = 1.0 / (square * skewed_thrusters_abs(v[k]));
+        for (j = k + 1; j < rank; ++j) {
+            double *const other = F + 6 * column[j];
+            double along = 0.0;
+            for (i = k; i < 6; ++i) {
+                along += v[i] * other[i];
+            }
+            along *= weight[k];
+            for (i = k; i < 6; ++i) {
+                other[i] -= along * v[i];
+            }
+        }
+    }
+    for (i = 0; i < 6; ++i) {
+        x[i] = 0.0;
+    }
+    for (i = 0; i < 6; ++i) { /* column row[i] of the inverse: R^-1 Q^T e_i */
+        for (j = 0; j < 6; ++j) {
+            e[j] = i == j ? 1.0 : 0.0;
+        }
+        for (k = 0; k < rank; ++k) {
+            const double *const v = F + 6 * column[k];
+            double along = 0.0;
+            for (j = k; j < 6; ++j) {
+                along += v[j] * e[j];
+            }
+            along *= weight[k];
+            for (j = k; j < 6; ++j) {
+                e[j] -= along * v[j];
+            }
+        }
+        for (k = rank - 1; k >= 0; --k) {
+            double sum = e[k];
+            for (j = k + 1; j < rank; ++j) {
+                sum -= F[6 * column[j] + k] * x[j];
+            }
+            x[k] = corner[k] < 0.0 || corner[k] > 0.0 ? sum / corner[k] : 0.0;
+            f->left[6 * column[k] + row[i]] = x[k];
+        }
+    }
+    for (k = 0; k < rank; ++k) {
+        f->gain[k] = 1.0;
+    }
+}
+
+/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+static void skewed_thrusters_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 6; ++i) {
-        if (f->exponent[i] != -16384) {
+        const double *const row = S + 8 * i;
+        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+            skewed_thrusters_spread(row, skewed_thrusters_power(-exponent[i]), B + 8 * i);
+        } else {
+            double shifted[8];
             for (j = 0; j < 8; ++j) {
-                f->S[8 * i + j] = skewed_thrusters_shift(f->S[8 * i + j], f->exponent[i] - top);
+                shifted[j] = exponent[i] == -16384 ? 0.0 : skewed_thrusters_shift(row[j], -exponent[i]);
             }
-            f->exponent[i] = top;
+            skewed_thrusters_spread(shifted, 1.0, B + 8 * i);
         }
     }
 }
 
-/* The SVD of f->S. Returns 0 if it did not converge. */
-static int skewed_thrusters_decompose(skewed_thrusters_factors *f)
+/* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
+static int skewed_thrusters_values(skewed_thrusters_factors *f, double *u)
 {
-    int i, j, sweeps;
-    for (i = 0; i < 48; ++i) {
-        f->right[i] = f->S[i];
-    }
-    for (i = 0; i < 6; ++i) {
-        for (j = 0; j < 6; ++j) {
-            f->left[6 * i + j] = i == j ? 1.0 : 0.0;
-        }
-    }
-    sweeps = skewed_thrusters_jacobi(f->right, 8, f->left, 6, 6, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
+    const int sweeps = skewed_thrusters_svd(&f->qr, u, f->sigma);
+    f->sweeps = sweeps > f->sweeps ? sweeps : f->sweeps;
     return sweeps;
 }
 
-/* Below full row rank a row's scale is its weight: from the factors of the scaled S, truncated to its rank, to those
-   of the raw S. F = D L, S = F R^T, and the columns of F are made orthogonal, R along with them. */
-static int skewed_thrusters_undo_scaling(skewed_thrusters_factors *f, int top)
+/* The singular vectors of both sides from u; gain = 1 / sigma. */
+static void skewed_thrusters_vectors(skewed_thrusters_factors *f, const double *u)
 {
-    int k, i, sweeps;
+    int i, j, k;
     for (k = 0; k < f->rank; ++k) {
-        for (i = 0; i < 8; ++i) {
-            f->right[8 * k + i] /= f->sigma[k];
-        }
+        double *const near = f->left + 6 * k;
+        double *const far = f->right + 8 * k;
+        f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 6; ++i) {
-            if (f->exponent[i] != -16384) {
-                f->left[6 * k + i] *= f->sigma[k];
-                f->left[6 * k + i] = skewed_thrusters_shift(f->left[6 * k + i], f->exponent[i] - top);
+            near[i] = u[8 * k + i];
+        }
+        for (j = 0; j < 8; ++j) {
+            far[j] = near[0] * f->B[j];
+        }
+        for (i = 1; i < 6; ++i) {
+            for (j = 0; j < 8; ++j) {
+                far[j] += near[i] * f->B[8 * i + j];
             }
         }
+        for (j = 0; j < 8; ++j) {
+            far[j] *= f->gain[k];
+        }
     }
-    skewed_thrusters_unscale_rows(f, top);
-    sweeps = skewed_thrusters_jacobi(f->left, 6, f->right, 8, f->rank, f->sigma);
-    if (sweeps > f->sweeps) {
-        f->sweeps = sweeps;
-    }
-    return sweeps;
 }
 
-static int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
+static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S, skewed_thrusters_factors *f, int top, int bottom)
+{
+    double u[48];
+    int i;
+    f->path = SKEWED_THRUSTERS_PATH_SVD;
+    if (!skewed_thrusters_values(f, u)) {
+        return SKEWED_THRUSTERS_NOT_CONVERGED;
+    }
+    f->rank = 0;
+    for (i = 0; i < 6; ++i) {
+        f->rank += f->sigma[i] > 1.7763568394002505e-15 * f->sigma[0];
+    }
+    f->direct = f->rank == 6;
+    if (!f->direct) {
+        skewed_thrusters_vectors(f, u);
+        if (f->rank > 0 && bottom != top) {
+            skewed_thrusters_undo_scaling(f, top);
+            for (i = 0; i < 6; ++i) {
+                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+            }
+            skewed_thrusters_scale(S, f->exponent, f->B);
+        }
+    }
+    return SKEWED_THRUSTERS_OK;
+}
+
+/* The ladder, from its first step or, if `after_normal`, from the QR. */
+static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int after_normal)
 {
     int active = 0;
     int top = -16384;
     int bottom = -(-16384);
-    int i, j;
+    int i;
     for (i = 0; i < 6; ++i) {
         skewed_thrusters_word word;
         word.bits = skewed_thrusters_largest(S + 8 * i, 8);
@@ -330,51 +806,45 @@ static int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors 
         }
     }
     f->uniform = active == 6 && top == bottom;
-    for (i = 0; i < 6; ++i) {
-        for (j = 0; j < 8; ++j) {
-            f->S[8 * i + j] =
-                f->exponent[i] == -16384 ? 0.0 : skewed_thrusters_shift(S[8 * i + j], -f->exponent[i]);
-        }
-    }
+    f->direct = 0;
     f->sweeps = 0;
-    f->rank = 0;
-    if (!skewed_thrusters_decompose(f)) {
-        return SKEWED_THRUSTERS_NOT_CONVERGED;
-    }
-    f->least = f->sigma[5];
-    for (i = 0; i < 6; ++i) {
-        f->rank += f->sigma[i] > 1.7763568394002505e-15 * f->sigma[0];
-    }
-    if (f->rank < active && top != bottom) { /* full row rank: the scaling is free */
-        if (!skewed_thrusters_undo_scaling(f, top)) {
-            return SKEWED_THRUSTERS_NOT_CONVERGED;
+    skewed_thrusters_scale(S, f->exponent, f->B);
+    if (active >= 6) {
+        int known = 1;
+        f->rank = 6;
+        f->path = SKEWED_THRUSTERS_PATH_NORMAL;
+        if (after_normal || skewed_thrusters_normal_factor(f->B, &f->normal) != 1) {
+            f->path = SKEWED_THRUSTERS_PATH_QR;
+            f->direct = 1;
+            skewed_thrusters_qr_factor(f->B, &f->qr);
+            known = skewed_thrusters_qr_certified(&f->qr);
         }
-        bottom = top;
+        if (known) {
+            return SKEWED_THRUSTERS_OK;
+        }
+        f->direct = 0;
+    } else {
+        skewed_thrusters_qr_factor(f->B, &f->qr);
     }
-    return SKEWED_THRUSTERS_OK;
+    return skewed_thrusters_factorise_svd(S, f, top, bottom);
 }
 
-/* sigma_min of the raw S. */
-static double skewed_thrusters_sigma_min(const double *S, const skewed_thrusters_factors *f)
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
+static SKEWED_THRUSTERS_APART double skewed_thrusters_sigma_min(const double *S, skewed_thrusters_factors *f)
 {
     const uint64_t magnitude = skewed_thrusters_largest(S, 48);
     const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
-    double v[48];
-    double sigma[6];
-    double least;
+    double u[48];
     int i;
-    if (f->uniform) {
-        return skewed_thrusters_shift(f->least, top);
+    if (f->path != SKEWED_THRUSTERS_PATH_SVD || !f->uniform) {
+        for (i = 0; i < 6; ++i) {
+            f->exponent[i] = top;
+        }
+        skewed_thrusters_scale(S, f->exponent, f->B);
+        skewed_thrusters_qr_factor(f->B, &f->qr);
+        (void)skewed_thrusters_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 48; ++i) {
-        v[i] = skewed_thrusters_shift(S[i], -top);
-    }
-    (void)skewed_thrusters_jacobi(v, 8, v, 0, 6, sigma);
-    least = sigma[0];
-    for (i = 1; i < 6; ++i) {
-        least = sigma[i] < least ? sigma[i] : least;
-    }
-    return skewed_thrusters_shift(least, top);
+    return skewed_thrusters_shift(f->sigma[5], top);
 }
 
 /* Negative: nothing but the status is known. */
@@ -456,35 +926,112 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
     return met;
 }
 
-/* x = S+ r. */
-static void skewed_thrusters_apply(const skewed_thrusters_factors *f, const double *r, double *x)
+/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
+   of the others in x makes it as good as if they were (Bjoerck 1994). */
+static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    int k, i, j;
+    const double *const p_0 = f->P + 8 * f->order[0];
+    const double w_0 = r[f->order[0]];
+    const double *const row_1 = f->L + 6 * f->order[1];
+    const double *const p_1 = f->P + 8 * f->order[1];
+    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const double *const row_2 = f->L + 6 * f->order[2];
+    const double *const p_2 = f->P + 8 * f->order[2];
+    const double w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    const double *const row_3 = f->L + 6 * f->order[3];
+    const double *const p_3 = f->P + 8 * f->order[3];
+    const double w_3 = r[f->order[3]] - row_3[0] * w_0 - row_3[1] * w_1 - row_3[2] * w_2;
+    const double *const row_4 = f->L + 6 * f->order[4];
+    const double *const p_4 = f->P + 8 * f->order[4];
+    const double w_4 = r[f->order[4]] - row_4[0] * w_0 - row_4[1] * w_1 - row_4[2] * w_2 - row_4[3] * w_3;
+    const double *const row_5 = f->L + 6 * f->order[5];
+    const double *const p_5 = f->P + 8 * f->order[5];
+    const double w_5 = r[f->order[5]] - row_5[0] * w_0 - row_5[1] * w_1 - row_5[2] * w_2 - row_5[3] * w_3 - row_5[4] * w_4;
+    double c_0 = w_0 * f->inverse[0];
+    double c_1 = w_1 * f->inverse[1];
+    double c_2 = w_2 * f->inverse[2];
+    double c_3 = w_3 * f->inverse[3];
+    double c_4 = w_4 * f->inverse[4];
+    double c_5 = w_5 * f->inverse[5];
+    int j;
+    if (!careful) {
+        for (j = 0; j < 8; ++j) {
+            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j] + c_3 * p_3[j] + c_4 * p_4[j] + c_5 * p_5[j];
+        }
+        return;
+    }
+    for (j = 0; j < 8; ++j) {
+        x[j] = c_5 * p_5[j];
+    }
+    c_4 = (w_4 - skewed_thrusters_inner(p_4, x)) * f->inverse[4];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_4 * p_4[j];
+    }
+    c_3 = (w_3 - skewed_thrusters_inner(p_3, x)) * f->inverse[3];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_3 * p_3[j];
+    }
+    c_2 = (w_2 - skewed_thrusters_inner(p_2, x)) * f->inverse[2];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_2 * p_2[j];
+    }
+    c_1 = (w_1 - skewed_thrusters_inner(p_1, x)) * f->inverse[1];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_1 * p_1[j];
+    }
+    c_0 = (w_0 - skewed_thrusters_inner(p_0, x)) * f->inverse[0];
+    for (j = 0; j < 8; ++j) {
+        x[j] += c_0 * p_0[j];
+    }
+}
+
+/* x = S+ r from the normal equations. */
+static void skewed_thrusters_normal_apply(const skewed_thrusters_normal *f, const double *B, const double *restrict r, double *restrict x)
+{
+    double w[6];
+    int j;
+    skewed_thrusters_normal_solve(f, r, w);
+    for (j = 0; j < 8; ++j) {
+        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
+    }
+}
+
+
+/* x = S+ r, from the step of the ladder that held. */
+static void skewed_thrusters_apply(const skewed_thrusters_factors *f, const double *r, double *x, int careful)
+{
+    int i, j, k;
+    if (f->path == SKEWED_THRUSTERS_PATH_NORMAL) {
+        skewed_thrusters_normal_apply(&f->normal, f->B, r, x);
+        return;
+    }
+    if (f->direct) {
+        skewed_thrusters_qr_apply(&f->qr, r, x, careful);
+        return;
+    }
     for (j = 0; j < 8; ++j) {
         x[j] = 0.0;
     }
     for (k = 0; k < f->rank; ++k) {
         const double *const left = f->left + 6 * k;
-        const double *const right = f->right + 8 * k;
         double along = left[0] * r[0];
         for (i = 1; i < 6; ++i) {
             along += left[i] * r[i];
         }
-        if (f->sigma[k] > 0.0) { /* zero where undoing the scaling underflowed */
-            along = along / f->sigma[k] / f->sigma[k];
-        }
+        along *= f->gain[k];
         for (j = 0; j < 8; ++j) {
-            x[j] += right[j] * along;
+            x[j] += along * f->right[8 * k + j];
         }
     }
 }
 
-static int skewed_thrusters_pinv_core(const double *S, double *S_pinv, skewed_thrusters_info *info)
+/* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
+static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, double *S_pinv, skewed_thrusters_info *info)
 {
     skewed_thrusters_factors f;
     double unit[6], x[8], answer[48];
     int status, i, j;
-    status = skewed_thrusters_factorise(S, &f);
+    status = skewed_thrusters_factorise(S, &f, 1);
     if (status < 0) {
         return skewed_thrusters_refuse(status, info);
     }
@@ -494,7 +1041,7 @@ static int skewed_thrusters_pinv_core(const double *S, double *S_pinv, skewed_th
     for (i = 0; i < 6; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
         const int zero_row = f.exponent[i] == -16384;
         unit[i] = 1.0;
-        skewed_thrusters_apply(&f, unit, x);
+        skewed_thrusters_apply(&f, unit, x, 1);
         unit[i] = 0.0;
         for (j = 0; j < 8; ++j) {
             answer[6 * j + i] = zero_row ? 0.0 : skewed_thrusters_shift(x[j], -f.exponent[i]);
@@ -506,7 +1053,7 @@ static int skewed_thrusters_pinv_core(const double *S, double *S_pinv, skewed_th
     status = f.rank < 6 ? SKEWED_THRUSTERS_RANK_DEFICIENT_CONSISTENT : SKEWED_THRUSTERS_OK;
     if (info != NULL) {
         info->status = status;
-        info->path = SKEWED_THRUSTERS_PATH_SVD;
+        info->path = f.path;
         info->rank = f.rank;
         info->sweeps = f.sweeps;
         info->sigma_min = skewed_thrusters_sigma_min(S, &f);

@@ -11,8 +11,7 @@
 #error "build spacecraft.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ---- */
 
 typedef union {
     double value;
@@ -91,6 +90,13 @@ static double spacecraft_sqrt(double x)
 #endif
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define SPACECRAFT_APART __attribute__((noinline))
+#else
+#define SPACECRAFT_APART
+#endif
+
 /* 2^k, -1022 <= k <= 1023. */
 static double spacecraft_power(int k)
 {
@@ -103,6 +109,9 @@ static double spacecraft_power(int k)
 static double spacecraft_shift(double x, int k)
 {
     int step;
+    if (k >= -1022 && k <= 1023) {
+        return x * spacecraft_power(k);
+    }
     for (step = 0; step < 3 && k > 1023; ++step) {
         x *= spacecraft_power(1023);
         k -= 1023;
@@ -134,6 +143,12 @@ static int spacecraft_exponent(uint64_t magnitude)
         lift = 64;
     }
     return (int)(magnitude >> 52) - 1023 - lift;
+}
+
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int spacecraft_within(double x, uint64_t low, uint64_t high)
+{
+    return (spacecraft_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -364,12 +379,6 @@ static int spacecraft_pinv_scaled(const double *S, double *S_pinv, spacecraft_in
         S_pinv[j] = answer[j];
     }
     return status;
-}
-
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int spacecraft_within(double x, uint64_t low, uint64_t high)
-{
-    return (spacecraft_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
 }
 
 static int spacecraft_solve_core(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)

@@ -11,8 +11,7 @@
 #error "build spacecraft_smooth_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ----
-   S+ = sum_k right_k left_k^T / sigma_k^2 over the singular values sigma_k that count. */
+/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ---- */
 
 typedef union {
     float value;
@@ -91,6 +90,13 @@ static float spacecraft_smooth_f32_sqrt(float x)
 #endif
 
 
+/* Kept out of line, so that the steps of the ladder before it stay short. */
+#if defined(__GNUC__)
+#define SPACECRAFT_SMOOTH_F32_APART __attribute__((noinline))
+#else
+#define SPACECRAFT_SMOOTH_F32_APART
+#endif
+
 /* 2^k, -126 <= k <= 127. */
 static float spacecraft_smooth_f32_power(int k)
 {
@@ -103,6 +109,9 @@ static float spacecraft_smooth_f32_power(int k)
 static float spacecraft_smooth_f32_shift(float x, int k)
 {
     int step;
+    if (k >= -126 && k <= 127) {
+        return x * spacecraft_smooth_f32_power(k);
+    }
     for (step = 0; step < 3 && k > 127; ++step) {
         x *= spacecraft_smooth_f32_power(127);
         k -= 127;
@@ -134,6 +143,12 @@ static int spacecraft_smooth_f32_exponent(uint32_t magnitude)
         lift = 32;
     }
     return (int)(magnitude >> 23) - 127 - lift;
+}
+
+/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
+static int spacecraft_smooth_f32_within(float x, uint32_t low, uint32_t high)
+{
+    return (spacecraft_smooth_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -364,12 +379,6 @@ static int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv, spac
         S_pinv[j] = answer[j];
     }
     return status;
-}
-
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int spacecraft_smooth_f32_within(float x, uint32_t low, uint32_t high)
-{
-    return (spacecraft_smooth_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
 }
 
 static int spacecraft_smooth_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
