@@ -56,7 +56,7 @@ def _figure(bench: Bench) -> Figure:
 
 def _caption(bench: Bench) -> str:
     return (
-        f"{bench.compiler}, {' '.join(bench.flags) or 'no flags'}; {bench.states} states, drawn with seed {bench.seed}; "
+        f"{bench.compiler}, {' '.join(bench.flags) or 'no flags'}; {bench.states} states, seed {bench.seed}; "
         f"median of batches of calls at different states, all contenders in turn, {bench.rounds} rounds. "
         "Lower left is better."
     )

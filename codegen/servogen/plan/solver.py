@@ -360,8 +360,8 @@ def _dot(n: int) -> Operations:
 def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     """Floating-point operations of `solve` with y, without info; exact scalings by powers of two left out.
 
-    "closed_form" for one row or column (the usual case, no damping); else one entry a step of the ladder, each with what
-    the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
+    "closed_form" for one row or column (the usual case, no damping); else one entry a step of the ladder, each with
+    what the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
     """
     m, l, n = plan.m, plan.l, plan.count
     if plan.kind == "row":

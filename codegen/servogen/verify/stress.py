@@ -128,8 +128,8 @@ def stress(
     """Every family on every shape it has, `systems` matrices each.
 
     make(m, l, scalar, solver) gives the twin under test; by default it is the package of `servogen.build_solver`.
-    The tasks run on `executor` if one is given (dask.distributed's Client.get_executor(), say), else in `jobs` processes;
-    in both cases `make` must be picklable. Raises ValueError for an unknown family.
+    The tasks run on `executor` if one is given (dask.distributed's Client.get_executor(), say), else in `jobs`
+    processes; in both cases `make` must be picklable. Raises ValueError for an unknown family.
     """
     chosen = tuple(FAMILIES) if families is None else tuple(families)
     unknown = [name for name in chosen if name not in FAMILIES]

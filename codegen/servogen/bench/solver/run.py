@@ -1,6 +1,6 @@
-"""Ours, Eigen and LAPACK on the same systems in one process: times, errors, instructions, against issue 4's bars.
+"""Ours, Eigen and LAPACK on the same systems in one process: times, errors, instructions, against the bars.
 
-    python bench/solver/run.py [--shapes 2x3,3x7] [--kappa 0,1e8] [--rounds 40] [--callgrind] [--out DIR]
+    python -m servogen.bench.solver.run [--shapes 2x3,3x7] [--kappa 0,1e8] [--rounds 40] [--callgrind] [--out DIR]
 
 Needs a C and a C++ compiler, Eigen 3.4, LAPACKE and OpenBLAS; valgrind for --callgrind. kappa 0 means random entries.
 """
@@ -11,10 +11,12 @@ import re
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
 import servogen as sg
-from servogen.scene.solver import EPSILON
+from servogen.scene.solver import EPSILON, Scalar
 from servogen.verify import exact
 from servogen.verify.stress import with_spectrum
 
@@ -26,7 +28,7 @@ NAMES = ("auto", "auto with info", "forced svd", "COD", "JacobiSVD", "gelsd", "g
 BARS = {"normal": {"COD": 6, "JacobiSVD": 9, "gelsd": 20}, "qr": {"COD": 3, "JacobiSVD": 5, "gelsd": 12}}
 
 
-def systems(m, l, scalar, kappa, generator):
+def systems(m: int, l: int, scalar: Scalar, kappa: float, generator: Any) -> Any:
     """N systems: entries random (kappa 0), or singular values geometric from 1 to 1/kappa."""
     if kappa == 0:
         S = generator.standard_normal((N, m, l))
@@ -37,19 +39,21 @@ def systems(m, l, scalar, kappa, generator):
     return S.astype(scalar), z.astype(scalar)
 
 
-def build(m, l, scalar, folder, *, callgrind=False, compilers=("gcc", "g++")):
+def build(
+    m: int, l: int, scalar: Scalar, folder: Path, *, callgrind: bool = False, compilers: Any = ("gcc", "g++")
+) -> Any:
     """The driver for one shape and scalar."""
     objects = []
-    for prefix, method in (("ours", "auto"), ("forced", "svd")):
-        package = sg.build_solver(m, l, folder / prefix, scalar=scalar, prefix=prefix, solver=sg.Solver(method=method))
+    for prefix, solver in (("ours", sg.Solver()), ("forced", sg.Solver(method="svd"))):
+        package = sg.build_solver(m, l, folder / prefix, scalar=scalar, prefix=prefix, solver=solver)
         target = folder / f"{prefix}.o"
         source = str(package.path / f"{prefix}.c")
         subprocess.run(
             [compilers[0], "-std=c99", "-ffp-contract=off", *FLAGS, "-c", source, "-o", str(target)], check=True
         )
         objects.append(str(target))
-    defines = [f"-DROWS={m}", f"-DCOLUMNS={l}", "-DOURS=ours", "-DFORCED=forced", f'-DOURS_HEADER="{folder}/ours/ours.h"',
-               f'-DFORCED_HEADER="{folder}/forced/forced.h"']  # fmt: skip
+    headers = [f'-D{name.upper()}_HEADER="{folder}/{name}/{name}.h"' for name in ("ours", "forced")]
+    defines = [f"-DROWS={m}", f"-DCOLUMNS={l}", "-DOURS=ours", "-DFORCED=forced", *headers]
     defines += ["-DSINGLE"] * (scalar == "float32") + ["-DCALLGRIND"] * callgrind
     program = folder / ("callgrind" if callgrind else "driver")
     rivals = folder / f"rivals-{program.name}.o"
@@ -60,7 +64,7 @@ def build(m, l, scalar, folder, *, callgrind=False, compilers=("gcc", "g++")):
     return program
 
 
-def errors(S, z, tau, u):
+def errors(S: Any, z: Any, tau: Any, u: float) -> Any:
     """Largest error / (u kappa |tau|), and largest relative error, against exact rationals."""
     scaled, plain = [], []
     for s, b, t in zip(S, z, tau, strict=True):
@@ -75,7 +79,7 @@ def errors(S, z, tau, u):
     return max(scaled), max(plain)
 
 
-def measure(m, l, scalar, kappa, rounds, folder, callgrind):
+def measure(m: int, l: int, scalar: Scalar, kappa: float, rounds: int, folder: Path, callgrind: bool) -> Any:
     generator = np.random.default_rng([m, l, int(kappa)])
     S, z = systems(m, l, scalar, kappa, generator)
     data = folder / "systems.bin"
@@ -86,7 +90,8 @@ def measure(m, l, scalar, kappa, rounds, folder, callgrind):
     for result in results.values():
         tau = np.array([np.nan if t is None else t for t in result.pop("tau")]).reshape(N, l)
         result["error"], result["relative"] = errors(S, z, tau.astype(scalar), EPSILON[scalar])
-    paths = sg.build_solver(m, l, scalar=scalar).load().solve(S, z)[1].path
+    twin: Any = sg.build_solver(m, l, scalar=scalar).load()
+    paths: Any = twin.solve(S, z)[1].path
     if callgrind:
         counting = build(m, l, scalar, folder, callgrind=True)
         for index, name in enumerate(NAMES):
@@ -103,7 +108,7 @@ def measure(m, l, scalar, kappa, rounds, folder, callgrind):
     }
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shapes", default=",".join(f"{m}x{l}" for m, l in SHAPES))
     parser.add_argument("--scalars", default="float64,float32")
@@ -129,7 +134,7 @@ def main():
         (chosen.out / "solver.json").write_text(json.dumps(rows, indent=1) + "\n")
 
 
-def show(row):
+def show(row: Any) -> None:
     results = row["results"]
     ours, forced = results["auto"]["best"], results["forced svd"]["best"]
     print(f"{row['shape']} {row['scalar']} kappa {row['kappa']:g} paths {row['paths']}")
