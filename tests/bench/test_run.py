@@ -1,0 +1,102 @@
+"""The benchmark sees planted errors, silent NaN and slow code, and gives everyone the same states."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
+from servogen.bench.plot import draw, pareto
+from servogen.bench.results import Output
+from servogen.bench.run import bench
+from servogen.scene.loading import load_scene
+
+SCENE = load_scene("double_pendulum_energy")
+BASELINE = "CasADi cse"
+
+
+def altered(contender, name, old, new):
+    """The same contender under another name, its kernel edited; a prefix of its own keeps the copies apart."""
+    assert any(old in f.text for f in contender.files)
+    files = tuple(dataclasses.replace(f, text=f.text.replace(old, new)) for f in contender.files)
+    return dataclasses.replace(contender, name=name, files=files)
+
+
+def run(contenders, **options):
+    return bench(
+        SCENE,
+        **{"rounds": 3, "states": 64, "count_instructions": False} | options,
+        contenders=contenders,
+    )
+
+
+def rivals(old, new):
+    def choose(scene, inputs, capacity):
+        ours = servogen_c(scene, inputs, capacity, "float64")
+        return altered(ours, "altered", old, new), casadi_c(scene, inputs, capacity, BASELINE, cse=True)
+
+    return choose
+
+
+def test_a_planted_error_is_measured():
+    result = run(rivals("S[0] = in->u[0];", "S[0] = in->u[0] + 1e-9;"))
+    assert result.of("altered", Output.MATRIX).errors.largest == pytest.approx(1e-9, rel=1e-3)
+    assert result.of("altered", Output.RIGHT).errors.largest_ulps < 20
+    assert result.of(BASELINE, Output.MATRIX).errors.largest_ulps < 20
+
+
+def test_a_silent_nan_is_an_infinite_error():
+    result = run(rivals("tau[0] = t_0;", "tau[0] = (double)NAN;"))  # behind all checks, with a good status
+    broken = result.of("altered", Output.ANSWER).errors
+    assert broken.nonfinite > 0
+    assert math.isinf(broken.largest)
+    assert result.of("altered", Output.MATRIX).errors.nonfinite == 0
+
+
+def test_casadis_pinv_is_silent_at_rest_and_ours_is_not():
+    result = run(lambda s, i, c: (servogen_c(s, i, c, "float64"), casadi_c(s, i, c, BASELINE, cse=True)))
+    assert result.of(BASELINE, Output.ANSWER).boundary.nonfinite > 0
+    ours = result.of("servogen f64", Output.ANSWER).boundary
+    assert ours.nonfinite == 0
+    assert ours.remarked > 0
+
+
+def test_slower_code_takes_longer():
+    def choose(scene, inputs, capacity):
+        ours = servogen_c(scene, inputs, capacity, "float64")
+        work = "volatile double waste = 0.0; int w; for (w = 0; w < 400; ++w) { waste = waste + 1.0; }\n    S[0] ="
+        return altered(ours, "slow", "S[0] =", work), casadi_c(scene, inputs, capacity, BASELINE, cse=True)
+
+    result = run(choose, rounds=5)
+    assert result.of("slow", Output.MATRIX).times.ratio > 3
+
+
+def test_the_same_states_for_all_and_the_same_figures_again():
+    def choose(scene, inputs, capacity):
+        return numpy_pinv(scene, inputs), casadi_c(scene, inputs, capacity, BASELINE, cse=True)
+
+    first, again = run(choose), run(choose)
+    for a, b in zip(first.measurements, again.measurements, strict=True):
+        assert (a.contender, a.output, a.errors, a.boundary) == (b.contender, b.output, b.errors, b.boundary)
+    # S by CasADi's virtual machine and by its C is one computation, but for the order of the solve
+    vm, c = (first.of(n, Output.MATRIX).errors for n in (first.measurements[0].contender, BASELINE))
+    assert vm.scale == c.scale
+    assert vm.judged == c.judged == 64
+
+
+def test_pictures_are_drawn(tmp_path):
+    result = run(lambda s, i, c: (servogen_c(s, i, c, "float64"), casadi_c(s, i, c, BASELINE, cse=True)))
+    for path in draw(result, tmp_path):
+        assert path.stat().st_size > 1000
+
+
+def test_pareto_line():
+    assert pareto([(1, 5), (2, 3), (3, 4), (4, 1)]) == [(1, 5), (2, 3), (4, 1)]
+    assert pareto([(1, 1), (2, 1)]) == [(1, 1)]
+
+
+def test_times_are_of_the_whole_batch():
+    result = run(lambda s, i, c: (servogen_c(s, i, c, "float64"), casadi_c(s, i, c, BASELINE, cse=True)))
+    for m in result.measurements:
+        assert 0 < m.times.best <= m.times.median <= m.times.p999
+        assert np.isfinite(m.times.ratio)
