@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servogen.compiler import compile_scene, target_for
 from servogen.derive.derive import derive
-from servogen.ir.evaluate import evaluate
+from servogen.derive.lower import parameter_defaults
+from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program, check_legal
 from servogen.optimise.accuracy import TOLERATED, Accuracy, entry_bounds, mix
@@ -21,6 +22,7 @@ from servogen.optimise.cost import OPERATION, Objective, tick_operations
 from servogen.optimise.for_scene import judging_states, optimise_formulation
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
+from servogen.scene.domain import draw_states
 from servogen.scene.loading import builtin_names, load_scene
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
@@ -96,14 +98,32 @@ def test_a_less_accurate_form_is_refused_and_said() -> None:
     assert optimise(mix(good, bad, [("o", 0)])) == good
 
 
-def test_measured_errors_agree_with_the_guard() -> None:
-    """For every built-in scene and output the optimised program errs at most 1.5 times as much as the unoptimised."""
+def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
     for name in builtin_names():
         scene = load_scene(name)
         done = optimise_formulation(derive(scene))
         states = judging_states(scene)
         before, after = (np.max(entry_bounds(p, states), axis=1) for p in (done.exact, done.program))
         assert np.all(after <= TOLERATED * before * (1 + 1e-9))
+
+
+@pytest.mark.parametrize("name", ["double_pendulum_energy", "spacecraft_smooth", "planar_arm_3r", "unicycle_path"])
+def test_measured_errors_do_not_rise(name: str) -> None:
+    """Float64 against 50 digits at states that no pass has seen: at most 1.5 times the unoptimised program's error."""
+    scene = load_scene(name)
+    done = optimise_formulation(derive(scene))
+    states = draw_states(scene, 400, seed=11) | parameter_defaults(scene)
+    truth = list(evaluate_exactly(done.exact, states))
+    before, after = evaluate(done.exact, states), evaluate(done.program, states)
+    for output in done.program.outputs:
+        exact = np.array([[float(v) for v in point[output.name]] for point in truth])
+        scale = np.max(np.abs(exact))
+
+        def worst(values: dict[str, Any], exact: Any = exact, label: str = output.name) -> float:
+            return float(np.max(np.abs(values[label].reshape(-1, exact.shape[1]) - exact), initial=0.0))
+
+        # half an ulp of the scale is what rounding the truth itself costs here
+        assert worst(after) <= 1.5 * worst(before) + 2.0**-53 * scale, output.name
 
 
 TARGETS = {"double_pendulum_energy": 20, "spacecraft": 27, "spacecraft_smooth": 27}

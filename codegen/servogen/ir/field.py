@@ -42,7 +42,7 @@ def rational(numerator: int, denominator: int) -> Residue | None:
     return (numerator * inverse(denominator % PRIME) % PRIME,) * POINTS
 
 
-def as_rational(value: Residue, limit: int = 2**40) -> tuple[int, int] | None:
+def as_rational(value: Residue, limit: int = 2**32) -> tuple[int, int] | None:
     """The one fraction with numerator and denominator up to `limit` that has this value, or None."""
     if any(v != value[0] for v in value):
         return None

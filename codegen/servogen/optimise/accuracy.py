@@ -32,7 +32,7 @@ class Accuracy:
     """The error bounds of an unoptimised program, to judge others by. states: name -> array (N, size)."""
 
     states: Mapping[str, Any]
-    reference: FloatArray  # (entries, 2): the largest bound over the states, and the median one
+    reference: FloatArray  # (entries, 3): the largest bound over the states, the median one, states without a bound
 
     @classmethod
     def of(cls, program: Program, states: Mapping[str, Any] | None = None) -> "Accuracy":
@@ -43,7 +43,8 @@ class Accuracy:
         """The entries whose error bound is beyond what is tolerated, in the program's order."""
         found = summaries(program, self.states)
         with np.errstate(all="ignore"):
-            bad = np.any(found > TOLERATED * self.reference * (1 + 1e-9), axis=1)
+            bad = np.any(found[:, :2] > TOLERATED * self.reference[:, :2] * (1 + 1e-9), axis=1)
+        bad |= found[:, 2] > self.reference[:, 2]  # a value or a bound was finite there, and is not any more
         entries = [(o.name, k) for o in program.outputs for k in range(o.size)]
         return [e for e, flag in zip(entries, bad, strict=True) if flag]
 
@@ -59,12 +60,16 @@ def draw_inputs(program: Program, count: int = STATES) -> dict[str, FloatArray]:
 
 
 def summaries(program: Program, states: Mapping[str, Any]) -> FloatArray:
-    """Largest and median rounding bound of every output entry over the states, (entries, 2); NaN: none is finite."""
+    """Largest and median rounding bound of every output entry over the states, and at how many it is not finite.
+
+    (entries, 3); NaN for the first two where no bound is finite.
+    """
     bounds = entry_bounds(program, states)
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(bounds), bounds, np.nan)
         known = np.any(np.isfinite(finite), axis=1)
-        result = np.full((len(bounds), 2), np.nan)
+        result = np.full((len(bounds), 3), np.nan)
+        result[:, 2] = np.sum(~np.isfinite(bounds), axis=1)
         if np.any(known):
             result[known, 0] = np.nanmax(finite[known], axis=1)
             result[known, 1] = np.nanmedian(finite[known], axis=1)
