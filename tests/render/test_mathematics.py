@@ -233,7 +233,7 @@ def test_strict_flags(name, scalar, tmp_path):
 
 
 def test_a_scene_calls_what_it_needs():
-    scene = load_scene("double_pendulum_energy")
+    scene = load_scene("planar_arm_3r")
     source = {m: (p := sg.build(scene, math=m)).path.joinpath(f"{p.prefix}.c").read_text() for m in ("own", "libm")}
     assert "_sincos(" in source["own"]
     assert " = sin(" not in source["own"]
