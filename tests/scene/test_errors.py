@@ -514,3 +514,20 @@ def test_a_branch_that_is_not_taken_may_be_nan() -> None:
 def test_messages_are_one_sentence_for_one_line() -> None:
     message = refused(lambda: scene([speed(u[0] * ca.SX.sym("x"))]))
     assert re.fullmatch(r"[^\n]{20,300}", message)
+
+
+@pytest.mark.parametrize("draw", [lambda generator: 5, lambda generator: 1 / 0, lambda generator: {"q": "here"}])
+def test_a_domain_that_cannot_be_drawn_from(draw: Any) -> None:
+    with pytest.raises(sg.SceneError, match=r"domain: .*(drawing a state failed|is no list of)"):
+        sg.build(drawn_from(draw))
+
+
+def test_a_solver_that_is_none() -> None:
+    with pytest.raises(sg.SceneError, match=r"give an sg\.Solver"):
+        drawn_from(None, solver={"rank": "raw"})
+
+
+def drawn_from(domain: Any, **more: Any) -> sg.Scene:
+    q, u, tau = ca.SX.sym("q"), ca.SX.sym("u"), ca.SX.sym("tau")
+    mech = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.DM(1), P=-q, G=ca.DM(1))
+    return sg.Scene("drawn", mech, [sg.Nonholonomic("speed", u, -1.0)], domain=domain, **more)

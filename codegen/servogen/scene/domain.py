@@ -40,9 +40,18 @@ def _draw_by_user(scene: Scene, draw: Any, count: int, generator: np.random.Gene
     fields = scene.input_fields()
     rows: dict[str, list[FloatArray]] = {f.name: [] for f in fields}
     for _ in range(count):
-        state = dict(draw(generator))
+        try:
+            state = dict(draw(generator))
+        except Exception as error:
+            raise SceneError(
+                f"domain: drawing a state failed with {type(error).__name__}: {error}; "
+                "the callable takes a numpy Generator and returns one state, {'q': [...], ...}"
+            ) from error
         for f in fields:
-            value = np.atleast_1d(np.asarray(state.pop(f.name, f.default), dtype=float)).ravel()
+            try:
+                value = np.atleast_1d(np.asarray(state.pop(f.name, f.default), dtype=float)).ravel()
+            except (TypeError, ValueError):
+                raise SceneError(f"domain: the drawn {f.name!r} is no list of {f.size} numbers") from None
             if value.shape != (f.size,):
                 raise SceneError(f"domain: the drawn {f.name!r} has {value.size} entries; it must have {f.size}")
             rows[f.name].append(value)

@@ -81,6 +81,8 @@ class Scene:
             l = self.controls
             object.__setattr__(self, "weight", matrix(self.weight, "weight", l, l, "one row and column per control"))
         _check_mode(self)
+        if not isinstance(self.solver, Solver):
+            raise SceneError(f"scene {self.name!r}: solver is {type(self.solver).__name__}; give an sg.Solver(...)")
         _check_kinds(self)
         _check_names(self)
         _check_symbols(self)

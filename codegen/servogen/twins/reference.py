@@ -93,6 +93,8 @@ class ReferenceTwin(Twin):
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
         inverse, info = textbook_solver.pinv(self._round(matrix), self._plan)
+        if info.status < 0:
+            inverse = np.full(inverse.shape, np.nan)
         return inverse.astype(self.dtype), info
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
