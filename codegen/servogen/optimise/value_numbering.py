@@ -18,7 +18,7 @@ from servogen.optimise.hazards import Hazards
 FALSE_EQUALITY = 2.0**-40
 """A program whose comparisons might err with a larger chance is left as it is."""
 
-_LARGEST_CONSTANT = 2**32  # numerator and denominator of a constant that is recognised
+_LARGEST_CONSTANT = 2**32  # of a fraction's two parts; another value is taken for one with a chance below 2^-61
 
 Class = tuple[Residue, int]
 """Equal up to sign, with the same hazards."""
@@ -116,9 +116,6 @@ class _Numbering:
             return emit(Instr("neg", (number,)))
 
         def constant(k: int) -> Fraction | None:
-            own = self.program.instrs[k].const
-            if isinstance(own, Fraction):  # exact as it stands: a long decimal must not be read as a short fraction
-                return own
             found = as_rational(self.values[k], _LARGEST_CONSTANT)
             return None if found is None else Fraction(*found)
 
