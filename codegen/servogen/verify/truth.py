@@ -309,7 +309,8 @@ class Truth:
         """S+ and the condition of what it keeps: exact at full rank, else by the SVD at 50 digits."""
         if info.status != Status.REGULARISED and info.rank in (0, min(S.shape)):
             sigma = np.linalg.svd(S, compute_uv=False)
-            kappa = float(sigma[0] / sigma[-1]) if info.rank else 1.0
+            with np.errstate(divide="ignore"):  # of subnormal rows the smallest may vanish: nothing to compare there
+                kappa = float(sigma[0] / sigma[-1]) if info.rank else 1.0
             return exact.nearest(exact.pinv(exact.rational(S))), kappa
         nothing = np.zeros(S.shape[1])
         columns = [pseudo_solution(S, e, nothing, info.rank, self.solver.damping) for e in np.eye(len(S))]
