@@ -1,4 +1,7 @@
-"""One hash of all outputs over all vectors, from every compiler, level and board: python -m servogen.verify.bits."""
+"""One hash of all outputs over all vectors, from every compiler, level and board: python -m servogen.verify.bits.
+
+With --solvers 3x7 ..., one hash of 20,000 solves of each of these shapes instead, singular ones among them.
+"""
 
 import argparse
 import hashlib
@@ -7,15 +10,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from servogen.compiler import build
+from servogen.compiler import build, build_solver
 from servogen.plan.mathematics import Math
 from servogen.scene.loading import builtin_names, load_scene
 from servogen.scene.scene import Scene
 from servogen.scene.solver import EPSILON, Scalar
-from servogen.verify.harness import HarnessResult, default_states, run_harness, targets
+from servogen.verify.harness import HarnessResult, default_states, hash_solvers, run_harness, targets
 from servogen.verify.truth import Truth, states_to_check
 
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
+SYSTEMS = 20_000
 
 
 class Build(NamedTuple):
@@ -58,6 +62,26 @@ def hashes(
     return found
 
 
+def solver_hashes(
+    shapes: Sequence[tuple[int, int]], where: Sequence[Build], systems: int = SYSTEMS
+) -> dict[str, dict[Build, str]]:
+    """By prefix, then by build: a hash over the answers of the bare solver to `systems` systems, and their infos."""
+    found: dict[str, dict[Build, str]] = {}
+    with tempfile.TemporaryDirectory(prefix="servogen-bits-") as name:
+        folder = Path(name)
+        packages = []
+        for m, l in shapes:
+            for x in EPSILON:
+                prefix = f"pinv_{m}x{l}_{x}"
+                packages.append(build_solver(m, l, folder / prefix, scalar=x, prefix=prefix).path)
+        for number, one in enumerate(where):
+            options: dict[str, Any] = {"target": one.target, "compiler": one.compiler, "optimisation": one.level}
+            printed = hash_solvers(packages, systems, build_dir=folder / f"build{number}", timeout=3600, **options)
+            for prefix, value in printed.items():
+                found.setdefault(prefix, {})[one] = value
+    return found
+
+
 def digest(result: HarnessResult) -> str:
     """Of one run, 16 hexadecimal digits."""
     if result.problems:
@@ -73,10 +97,17 @@ def main() -> int:
     parser.add_argument("--boards", nargs="*", default=[t for t in targets() if t != "host"])
     parser.add_argument("--scenes", nargs="*", default=list(builtin_names()))
     parser.add_argument("--math", choices=["own", "libm"], default="own")
+    parser.add_argument("--solvers", nargs="*", metavar="MxL", help="shapes of bare solvers, instead of scenes")
+    parser.add_argument("--systems", type=int, default=SYSTEMS, help="solves of each of --solvers")
     given = parser.parse_args()
-    scenes = [load_scene(s) for s in given.scenes]
+    where = builds(given.boards)
+    if given.solvers:
+        shapes = [(int(m), int(l)) for m, l in (shape.split("x") for shape in given.solvers)]
+        found = solver_hashes(shapes, where, given.systems)
+    else:
+        found = hashes([load_scene(s) for s in given.scenes], where, given.states, given.math)
     good = True
-    for prefix, by_build in hashes(scenes, builds(given.boards), given.states, given.math).items():
+    for prefix, by_build in found.items():
         different = set(by_build.values())
         same = len(different) == 1 and not next(iter(different)).startswith("failed")
         good &= same

@@ -183,7 +183,15 @@ def run_harness(
     for prefix in manifests:
         _write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
     say(f"{target}: configuring")
-    _configure(packages, _preset(target, compiler), build_dir, dump, optimisation, measure)
+    _configure(
+        _preset(target, compiler),
+        build_dir,
+        SERVOGEN_PACKAGES=_folders(packages),
+        SERVOGEN_VECTORS=(build_dir / "vectors").as_posix(),
+        SERVOGEN_DUMP="ON" if dump else "OFF",
+        SERVOGEN_MEASURE="ON" if measure else "OFF",
+        SERVOGEN_OPTIMISATION=optimisation,
+    )
     say(f"{target}: building {len(manifests)} images")
     _run([find_tool("cmake", "cmake"), "--build", build_dir])
     commands = _test_commands(build_dir)
@@ -196,6 +204,40 @@ def run_harness(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(check, manifests))
+
+
+def hash_solvers(
+    packages: list[Path],
+    systems: int,
+    *,
+    target: str = "host",
+    compiler: Compiler = "gcc",
+    build_dir: Path,
+    optimisation: str = "-O2",
+    timeout: float = 600.0,
+) -> dict[str, str]:
+    """By prefix, of packages of `servogen.build_solver`: a hash over the bits of `systems` answers and their infos.
+
+    8 hexadecimal digits; "failed: ..." where the image does not run to its end. Raises as run_harness does.
+    """
+    require_target(target, compiler)
+    build_dir = build_dir.resolve()
+    _configure(
+        _preset(target, compiler),
+        build_dir,
+        SERVOGEN_SOLVERS=_folders(packages),
+        SERVOGEN_SYSTEMS=str(systems),
+        SERVOGEN_OPTIMISATION=optimisation,
+    )
+    _run([find_tool("cmake", "cmake"), "--build", build_dir])
+    found = {}
+    commands = _test_commands(build_dir)
+    for prefix in [_manifest(path)["prefix"] for path in packages]:
+        code, log = _execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(_words, log.splitlines()) if w[""] == "bits"), {})
+        good = code == 0 and "hash" in words
+        found[prefix] = words["hash"] if good else f"failed: {_complaint(log, code) or f'exit code {code}'}"
+    return found
 
 
 def read_log(
@@ -289,24 +331,14 @@ def _check_packages(
             )
 
 
-def _configure(
-    packages: list[Path], preset: str, build_dir: Path, dump: bool, optimisation: str, measure: bool
-) -> None:
-    _run(
-        [
-            find_tool("cmake", "cmake"),
-            "--preset",
-            preset,
-            "-B",
-            build_dir,
-            f"-DSERVOGEN_PACKAGES={';'.join(p.resolve().as_posix() for p in packages)}",
-            f"-DSERVOGEN_VECTORS={(build_dir / 'vectors').as_posix()}",
-            f"-DSERVOGEN_DUMP={'ON' if dump else 'OFF'}",
-            f"-DSERVOGEN_MEASURE={'ON' if measure else 'OFF'}",
-            f"-DSERVOGEN_OPTIMISATION={optimisation}",
-            f"-DCMAKE_MAKE_PROGRAM={find_tool('ninja', 'ninja-build').as_posix()}",
-        ],
-    )
+def _configure(preset: str, build_dir: Path, **definitions: str) -> None:
+    definitions["CMAKE_MAKE_PROGRAM"] = find_tool("ninja", "ninja-build").as_posix()
+    options = [f"-D{name}={value}" for name, value in definitions.items()]
+    _run([find_tool("cmake", "cmake"), "--preset", preset, "-B", build_dir, *options])
+
+
+def _folders(packages: list[Path]) -> str:
+    return ";".join(p.resolve().as_posix() for p in packages)
 
 
 def _environment() -> dict[str, str]:
