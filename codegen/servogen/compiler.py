@@ -13,9 +13,10 @@ from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.render.render import render
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.solver import Solver
 
 
 def build(

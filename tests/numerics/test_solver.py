@@ -9,11 +9,11 @@ import pytest
 import servogen as sg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from servogen import exact
+from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Path, Status
-from servogen.scene.solver import EPSILON
-from servogen.twins import textbook_solver
-from servogen.verify import exact
+from servogen.scalars import EPSILON
 
 SCALARS = ["float64", "float32"]
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (7, 3), (6, 7), (12, 12)]

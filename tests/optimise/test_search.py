@@ -17,13 +17,13 @@ from servogen.derive.lower import parameter_defaults
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program, check_legal
+from servogen.loading import builtin_names, load_scene
 from servogen.optimise.accuracy import TOLERATED, Accuracy, entry_bounds, mix
 from servogen.optimise.cost import OPERATION, Objective, tick_operations
 from servogen.optimise.for_scene import judging_states, optimise_formulation
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
 from servogen.scene.domain import draw_states
-from servogen.scene.loading import builtin_names, load_scene
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
 
@@ -214,7 +214,7 @@ def test_random_scenes_keep_their_meaning(seed: int) -> None:
 def test_the_same_program_whatever_the_hash_seed() -> None:
     code = (
         "from servogen.compiler import compile_scene, target_for\n"
-        "from servogen.scene.loading import load_scene\n"
+        "from servogen.loading import load_scene\n"
         "print(compile_scene(load_scene('spacecraft'), target_for('p', 'float64', None)))"
     )
     texts = {

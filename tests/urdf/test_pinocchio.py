@@ -1,6 +1,8 @@
 """Against Pinocchio, where it is installed (extra `robots`), at 1e-10 of the largest entry."""
 
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
@@ -9,13 +11,15 @@ import pytest
 import servogen as sg
 from support.robots import A1, IIWA, IIWA_TOOL, draw_state
 
-pin = pytest.importorskip("pinocchio", reason="Pinocchio is not installed: pip install pin")
 TOLERANCE = 1e-10
 
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 @pytest.mark.parametrize(("path", "frame"), [(IIWA, IIWA_TOOL), (A1, "FL_toe"), (A1, "RR_upper")])
-def test_agrees_with_pinocchio(path: Path, frame: str, base: str) -> None:
+def test_agrees_with_pinocchio(
+    path: Path, frame: str, base: str, need_module: Callable[[str, str], ModuleType]
+) -> None:
+    pin = need_module("pinocchio", "pin")
     floating = base == "floating"
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if floating else []))
     data = model.createData()

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Info
-from servogen.twins import textbook_solver
 from servogen.verify import stress
 
 SMALL = ((1, 2), (2, 2), (2, 3), (3, 2))

@@ -16,8 +16,8 @@ from servogen.compiler import build
 from servogen.plan.module import Module, StructField
 from servogen.render.render import SourceFile
 from servogen.results import FloatArray
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.twins.reference import reference
 
 BASELINE = "CasADi cse"

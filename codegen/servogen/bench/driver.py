@@ -18,7 +18,7 @@ from servogen.bench.contenders import CContender
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Output
 from servogen.results import FloatArray
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from servogen.derive.formulation import Weight
 from servogen.derive.lower import lower
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
 from servogen.results import FloatArray
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 
 Truth = dict[Output, list[list[Any]]]
 """Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 
 
 class Output(StrEnum):

@@ -14,7 +14,6 @@ PARAMETERS = "p"
 
 def arguments(scene: Scene) -> list[tuple[str, Any]]:
     """(name, symbol) of the functions' arguments: every input of the scene, then all parameters in one column."""
-    assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in scene.input_fields()]
     return [*fields, (PARAMETERS, ca.vertcat(ca.SX(0, 1), *(f.symbol for f in scene.parameters)))]
 

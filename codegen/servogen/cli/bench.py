@@ -20,7 +20,7 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip

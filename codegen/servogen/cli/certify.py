@@ -17,7 +17,7 @@ from servogen.cli.console import (
     scenes_argument,
     table,
 )
-from servogen.scene.loading import load_scene, scene_folder
+from servogen.loading import load_scene, scene_folder
 from servogen.verify import budget
 from servogen.verify.certificate import Certificate, certify
 from servogen.verify.harness import targets

@@ -13,9 +13,9 @@ from servogen.cli.report import report_command
 from servogen.cli.simulate import simulate_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
+from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompilerRefused
 from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
-from servogen.verify.tools import ToolMissing
 from servogen.version import VERSION
 
 

@@ -28,7 +28,6 @@ def lower_quantities(scene: Scene, quantities: Sequence[Quantity], mass: MassTre
 
 def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:
     """Every parameter and input the scene may have, tau included, with its symbol."""
-    assert scene.parameters is not None
     inputs = [(Input(f.name, f.size, "parameter"), f.symbol) for f in scene.parameters]
     inputs += [(Input(f.name, f.size), f.symbol) for f in scene.input_fields()]
     if scene.kind != "controls":  # the plant takes tau, and so may a servo scene's program
@@ -38,5 +37,4 @@ def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:
 
 def parameter_defaults(scene: Scene) -> dict[str, list[float]]:
     """name -> default values, as inputs of the program."""
-    assert scene.parameters is not None
     return {f.name: list(f.default) for f in scene.parameters}

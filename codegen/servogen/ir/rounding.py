@@ -16,7 +16,7 @@ from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program, live
 from servogen.results import FloatArray
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.scalars import EPSILON, Scalar
 
 
 def rounding_bounds(program: Program, inputs: Mapping[str, Any], scalar: Scalar) -> dict[str, FloatArray]:

@@ -9,7 +9,7 @@ from servogen.ir.program import Program
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,9 @@ from servogen.plan.module import (
 )
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field
 
 PROJECTION_CAP = 25
@@ -140,7 +141,6 @@ def _root(target: Target) -> str:
 
 def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
-    assert scene.parameters is not None
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()
@@ -193,12 +193,10 @@ def _struct_field(f: Field) -> StructField:
 
 
 def _parameters(scene: Scene) -> tuple[StructField, ...]:
-    assert scene.parameters is not None
     return tuple(_struct_field(f) for f in scene.parameters)
 
 
 def _model(scene: Scene, staged: Staged) -> tuple[StructField, ...]:
-    assert scene.parameters is not None
     known = {f.name: f for f in scene.parameters}
     fields = []
     for i in staged.tick.inputs:

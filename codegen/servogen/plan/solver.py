@@ -13,7 +13,8 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Path, Status
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scalars import EPSILON, Scalar
+from servogen.scene.solver import Solver
 
 Kind = Literal["row", "column", "full"]
 Operations = dict[str, int]

@@ -14,11 +14,11 @@ from servogen.bench.results import Bench
 from servogen.bench.run import bench
 from servogen.compiler import build
 from servogen.derive.derive import derive
+from servogen.loading import builtin_names, builtin_summary, load_simulation
 from servogen.package import Package
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
 from servogen.scene.constraints import expression_of, theta_parts
-from servogen.scene.loading import builtin_names, builtin_summary, load_simulation
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv

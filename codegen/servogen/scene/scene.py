@@ -47,8 +47,8 @@ class Scene:
     name: str
     mechanism: Mechanism
     constraints: Sequence[Constraint]
-    parameters: Parameters | None = None
-    references: References | None = None
+    parameters: Parameters = field(default_factory=Parameters)
+    references: References = field(default_factory=References)
     y: Any = None
     weight: Any = None
     mode: Literal["servo", "ideal"] = "servo"
@@ -212,7 +212,6 @@ def _check_kinds(scene: Scene) -> None:
         value = getattr(scene, what)
         if scene.kind != "controls" and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
             raise SceneError(f"{what} depends on tau, which the scene solves for; make {what} a function of the inputs")
-    assert scene.parameters is not None
     parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
     for c in scene.constraints:
         for name, theta in theta_parts(c).items():
@@ -229,7 +228,6 @@ def _among(symbol: Any, symbols: Any) -> bool:
 
 
 def _check_names(scene: Scene) -> None:
-    assert scene.parameters is not None
     assert scene.references is not None
     references = {f.name for f in scene.references}
     for f in scene.parameters:
@@ -238,7 +236,6 @@ def _check_names(scene: Scene) -> None:
 
 
 def _check_symbols(scene: Scene) -> None:
-    assert scene.parameters is not None
     assert scene.references is not None
     mech = scene.mechanism
     owners: dict[int, str] = {}
@@ -275,7 +272,6 @@ def _check_operations(scene: Scene) -> None:
 
 def _check_theta_of_parameters(scene: Scene) -> None:
     """A Theta of parameters can only be judged at their defaults: warn there."""
-    assert scene.parameters is not None
     symbols = [f.symbol for f in scene.parameters]
     defaults = [ca.DM(f.default) for f in scene.parameters]
     for c in scene.constraints:

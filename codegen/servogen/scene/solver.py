@@ -7,10 +7,6 @@ from typing import Literal
 
 from servogen.errors import SceneError
 
-Scalar = Literal["float64", "float32"]
-
-EPSILON: dict[Scalar, float] = {"float64": 2.0**-52, "float32": 2.0**-23}
-
 
 @dataclass(frozen=True)
 class Solver:

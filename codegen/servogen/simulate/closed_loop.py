@@ -14,8 +14,8 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.ideal import ideal_decay
 from servogen.simulate.simulation import (
     METHODS,
@@ -144,7 +144,6 @@ class ClosedLoop:
         return duration, duration / steps, steps
 
     def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
-        assert self.scene.parameters is not None
         fields = {f.name: f for f in self.scene.parameters}
         for name in given:
             if name not in fields:

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from servogen.results import FloatArray
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.simulation import METHODS, Simulation, moving_references, start_values
 from servogen.simulate.trajectory import Trajectory

@@ -97,7 +97,6 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     """(name, SX symbol) of everything an output may use: parameters, inputs and tau."""
-    assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
     return fields if scene.kind == "controls" else [*fields, ("tau", scene.mechanism.tau)]
 

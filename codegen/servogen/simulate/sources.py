@@ -11,10 +11,10 @@ from servogen.derive.formulation import MassTreatment, Quantity
 from servogen.package import Package, write
 from servogen.plan.module import Module, StructField
 from servogen.render.render import environment, render
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.simulate.simulation import Simulation, moving_references
-from servogen.verify.harness import firmware_sim
+from servogen.tools import firmware_sim
 from servogen.version import VERSION
 
 

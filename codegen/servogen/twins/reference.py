@@ -8,13 +8,14 @@ from scipy.linalg import qr
 
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
+from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Control, FloatArray, Info, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
-from servogen.twins import textbook_solver
 from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, finite, refusal
 
 _PROJECTION_CAP = 50
@@ -274,7 +275,6 @@ def _mass_of_parameters(scene: Scene) -> Any:
 def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
     mech = scene.mechanism
-    assert scene.parameters is not None
     fields = [*scene.input_fields(), *scene.parameters]
     rows = [_constraint_parts(scene, c) for c in scene.constraints]
     parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from servogen.compiler import build
+from servogen.loading import builtin_names, load_scene
 from servogen.plan.mathematics import Math
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 from servogen.verify.harness import HarnessResult, default_states, run_harness, targets
 from servogen.verify.truth import Truth, states_to_check
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.plan.mathematics import Math
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.verify import objects
 from servogen.verify.harness import HarnessResult, default_states, run_harness
 from servogen.verify.truth import Truth, states_to_check

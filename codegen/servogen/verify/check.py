@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from servogen import exact
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
-from servogen.verify import exact
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
-from servogen.verify.tools import ToolMissing
 from servogen.verify.truth import BAR, Truth, states_to_check
 from servogen.verify.vectors import VectorSet, ulp
 

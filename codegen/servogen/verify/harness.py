@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.verify.tools import find_library, find_tool, tool_path
+from servogen.tools import find_library, find_tool, firmware_sim, tool_path
 from servogen.verify.vectors import VectorSet, data_bytes, render_vectors
 
 Compiler = Literal["gcc", "clang", "asan"]
@@ -109,15 +109,6 @@ class HarnessResult:
     def passed(self) -> bool:
         """Whether the package is right on this target."""
         return not self.problems
-
-
-def firmware_sim() -> Path:
-    """The folder of the CMake project: inside an installed package, or at the root of the repository."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "_firmware_sim", package.parents[1] / "firmware_sim"):
-        if (folder / "CMakeLists.txt").is_file():
-            return folder
-    raise RuntimeError("firmware_sim is in neither the package nor the repository; reinstall servogen")
 
 
 def targets() -> list[str]:

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from servogen import exact
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import FloatArray, Status
-from servogen.scene.solver import EPSILON, Scalar, Solver
-from servogen.verify import exact
+from servogen.scalars import EPSILON, Scalar
+from servogen.scene.solver import Solver
 
 SHAPES = ((1, 2), (1, 3), (2, 2), (2, 3), (3, 3), (3, 4), (3, 7), (6, 7), (6, 12), (12, 12), (3, 2), (7, 3), (4, 1))
 SCALARS: tuple[Scalar, ...] = ("float64", "float32")

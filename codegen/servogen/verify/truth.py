@@ -6,26 +6,26 @@ Tolerances are no guesses: S, z, A, B may differ by the first-order rounding bou
 """
 
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import flint
 import mpmath as mp
 import numpy as np
 
+from servogen import exact
 from servogen.derive.derive import derive
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
+from servogen.ir.numbers import as_fraction
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.for_scene import optimise_formulation
+from servogen.plan import textbook_solver
 from servogen.plan.module import Module
 from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Status
+from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
-from servogen.scene.solver import EPSILON
-from servogen.twins import textbook_solver
-from servogen.verify import exact
 from servogen.verify.singular import pseudo_solution
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, EntryVectors, OutputVectors, VectorSet
 
@@ -440,9 +440,8 @@ def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
 
 
 def _fmpq(value: Any) -> Any:
-    sign, mantissa, exponent, _ = value._mpf_
-    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
-    return flint.fmpq(-magnitude.numerator if sign else magnitude.numerator, magnitude.denominator)
+    fraction = as_fraction(value)
+    return flint.fmpq(fraction.numerator, fraction.denominator)
 
 
 def _values(column: exact.Matrix) -> Exact:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import servogen as sg
-from servogen.scene.solver import EPSILON, Scalar
-from servogen.verify import exact
+from servogen import exact
+from servogen.scalars import EPSILON, Scalar
 from servogen.verify.stress import with_spectrum
 
 HERE = Path(__file__).parent
