@@ -98,7 +98,7 @@ def servogen_c(scene: Scene, inputs: Inputs, capacity: int, scalar: Scalar) -> C
             for name in (f"{package.prefix}.h", f"{package.prefix}.c")
         )
     p = package.prefix
-    matrix, right = ("S", "z") if scene.kind == "servo" else ("A", "B")
+    matrix, right = scene.system.matrix, scene.system.right
     calls = {
         Output.MATRIX: Call(f"{p}_{matrix}(&model, &inputs[k], out)", f"{p}_{matrix}"),
         Output.RIGHT: Call(f"{p}_{right}(&model, &inputs[k], out)", f"{p}_{right}"),
@@ -214,7 +214,7 @@ static void load(const double *parameters, const double *states, long n)
 def textbook(scene: Scene) -> PythonContender:
     """servogen.reference: numpy's SVD with our rank policy."""
     twin = reference(scene)
-    matrix, right = ("S", "z") if scene.kind == "servo" else ("A", "B")
+    matrix, right = scene.system.matrix, scene.system.right
 
     def part(name: str, state: Mapping[str, FloatArray]) -> Answer:
         status, result = twin.system(twin.read_inputs(dict(state)))

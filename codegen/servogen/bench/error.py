@@ -23,7 +23,7 @@ Truth = dict[Output, list[list[Any]]]
 def truth(scene: Scene, inputs: Inputs) -> Truth:
     """S, z by the program's 50-digit interpreter, and tau by exact elimination with them."""
     formulation = derive(scene)
-    matrix, right = formulation.system
+    matrix, right = scene.system.matrix, scene.system.right
     weight = formulation.weight
     factorised = formulation.factorised
     columns = inputs.columns()

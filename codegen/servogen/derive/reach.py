@@ -23,7 +23,7 @@ def check_reach(formulation: Formulation) -> None:
 
     A row is identically zero when it is within its own rounding error of zero at every state drawn.
     """
-    scene, name = formulation.scene, formulation.reach
+    scene, name = formulation.scene, formulation.scene.system.reach
     labels = _row_labels(scene)
     quantities = [q for q in formulation.quantities if q.name == name]
     program = number_values(optimise(lower_quantities(scene, quantities)))

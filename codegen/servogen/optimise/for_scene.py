@@ -43,7 +43,7 @@ class SceneProgram:
 
 def optimise_formulation(formulation: Formulation) -> SceneProgram:
     """All quantities of a scene as one program; the constraint's value counts less than the system it leads to."""
-    minor = frozenset([formulation.constraint, MASS_PIVOT, MASS_SCALE])
+    minor = frozenset([formulation.scene.system.constraint, MASS_PIVOT, MASS_SCALE])
     return _optimise(formulation.scene, formulation.quantities, formulation.mass, lower(formulation), minor)
 
 

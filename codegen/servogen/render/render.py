@@ -108,7 +108,7 @@ def _shim(module: Module) -> dict[str, Any]:
         {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
         for k, (struct, f) in enumerate(fields)
     ]
-    return {"arguments": arguments, "answer": "tau_dot" if module.control.system[0] == "A" else "tau"}
+    return {"arguments": arguments, "answer": module.control.system.answer}
 
 
 def _emitted(module: Module) -> dict[str, bool]:

@@ -49,7 +49,7 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
     moving = moving_references(scene, simulation, t)
     course = ca.Function("course", [t], list(moving.values()))
     nq, nu = mech.q.size1(), mech.u.size1()
-    controls = scene.kind == "controls"
+    controls = scene.system.tau_is_state
 
     def rate(now: float, x: FloatArray) -> FloatArray:
         q, u = x[:nq], x[nq : nq + nu]

@@ -155,7 +155,7 @@ class Truth:
         status = self._evaluated(k, results, bool(control.kernel.guards))
         if control.reaction is None:
             return self._unweighted(
-                point, self._solved(point, control.matrix, control.system[1], status, self._free(k))
+                point, self._solved(point, control.matrix, control.system.right, status, self._free(k))
             )
         reaction = self.reactions[k]
         status = (
@@ -300,7 +300,7 @@ class Truth:
         drawn = stacked[: self.drawn]
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
-        output = OutputVectors.of(f"{self.control.system[0]}_pinv", expected, limits, scale, self.scalar)
+        output = OutputVectors.of(f"{self.control.system.matrix}_pinv", expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
@@ -321,7 +321,7 @@ class Truth:
         tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
         known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
         expected, limits = _comparable(values, tolerance, self.scalar)
-        name = "tau_dot" if self.scene.kind == "controls" and entry == "control" else "tau"
+        name = self.control.system.answer if entry == "control" else "tau"
         output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
         status = np.array([a.status for a in answers])
         rank = np.array([a.rank if a.status != ANY_ANSWER else ANY_RANK for a in answers])
