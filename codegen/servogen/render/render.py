@@ -32,10 +32,10 @@ class SourceFile:
 
 
 @cache
-def environment() -> Environment:
-    """Templates of servogen; a name that is not defined is an error."""
+def environment(folder: str = "render") -> Environment:
+    """The C templates in servogen/<folder>/templates; a name that is not defined is an error."""
     templates = Environment(
-        loader=PackageLoader("servogen.render", "templates"),
+        loader=PackageLoader("servogen", f"{folder}/templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
