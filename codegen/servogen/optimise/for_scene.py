@@ -18,6 +18,7 @@ from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Output, Program, live
 from servogen.optimise.accuracy import STATES
 from servogen.optimise.angles import snap_quarter_turns
+from servogen.optimise.decimals import clean_constants
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import Optimised, search
@@ -56,7 +57,8 @@ def optimise_quantities(scene: Scene, quantities: Sequence[Quantity], mass: Mass
 def _optimise(
     scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, lowered: Program, minor: frozenset[str]
 ) -> SceneProgram:
-    snapped, remarks = snap_quarter_turns(optimise(lowered))
+    cleaned, told = clean_constants(lowered)
+    snapped, remarks = snap_quarter_turns(optimise(cleaned))
     exact = optimise(snapped)
     needing = [q.name for q in quantities if q.needs_mass]
     own = _own_divisors(scene) if mass.positive_definite and mass.pivots else None
@@ -64,7 +66,7 @@ def _optimise(
         exact = _without_late_pivots(exact)
     optimised = search(exact, judging_states(scene), minor & {o.name for o in exact.outputs})
     free = frozenset() if own is None else frozenset(_free(optimised.program, needing, own))
-    return SceneProgram(optimised.program, exact, optimised, free, remarks + optimised.refused)
+    return SceneProgram(optimised.program, exact, optimised, free, told + remarks + optimised.refused)
 
 
 def judging_states(scene: Scene) -> State:
