@@ -1,5 +1,6 @@
 """Quantities whose rates are known in closed form, so that nobody needs to differentiate them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,13 +59,15 @@ class KnownRates:
         factor: Any,
         J: Any,
         rate: Any,
-        acceleration: Any,
-        at_gauge: Any,
+        accelerations: Sequence[Any],
         value: Any = None,
         still: Any = None,
     ) -> None:
-        """Make p' = rate known, and p = value if given (a function of q); see Known."""
-        rate, acceleration, at_gauge = (ca.densify(x) for x in (rate, acceleration, at_gauge))
+        """Make p' = rate known, and p = value if given (a function of q); accelerations: at u' = 0 and at the gauge's.
+
+        See Known.
+        """
+        rate, acceleration, at_gauge = (ca.densify(x) for x in (rate, *accelerations))
         known = Known(factor, J, rate, acceleration, at_gauge, ca.SX() if still is None else still)
         _enter(self._of_u, rate, known)
         if value is not None:

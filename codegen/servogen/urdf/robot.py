@@ -205,13 +205,13 @@ class Robot:
         linear, alpha = zip(*(self._bias(frame, J.nonzeros(), m) for m in (self._motion, self._at_ease)), strict=True)
         v, omega = ca.mtimes(J, self.u), ca.mtimes(J_angular, self.u)
         v_world, omega_world = ca.mtimes(turn, v), ca.mtimes(turn, omega)
-        self._known.add(turn, J, v_world, *(ca.mtimes(turn, a) for a in linear), value=position)
-        self._known.add(turn, J_angular, omega_world, *(ca.mtimes(turn, a) for a in alpha))
+        self._known.add(turn, J, v_world, [ca.mtimes(turn, a) for a in linear], value=position)
+        self._known.add(turn, J_angular, omega_world, [ca.mtimes(turn, a) for a in alpha])
         # each column c turns by c' = omega x c
         factor = ca.vertcat(*(ca.mtimes(turn, -ca.skew(axis)) for axis in axes))
         spin = ca.vertcat(*(ca.mtimes(turn, ca.cross(omega, ca.cross(omega, axis))) for axis in axes))
         accelerations = [ca.mtimes(factor, a) + spin for a in alpha]
-        self._known.add(factor, J_angular, ca.mtimes(factor, omega), *accelerations, value=ca.vec(rotation))
+        self._known.add(factor, J_angular, ca.mtimes(factor, omega), accelerations, value=ca.vec(rotation))
         return ca.vertcat(v_world, omega_world)
 
     def _make_error_known(self, name: str, B: Any, psi: Any, wanted: Any) -> None:
@@ -225,7 +225,7 @@ class Robot:
         spin = ca.cross(omega, rate) - omega * ca.dot(omega, psi)
         factor = ca.mtimes(E, turn)
         accelerations = [ca.mtimes(factor, a) + spin for a in alpha]
-        self._known.add(factor, J, rate, *accelerations, value=psi, still=wanted)
+        self._known.add(factor, J, rate, accelerations, value=psi, still=wanted)
 
 
 def _symbols(names: Sequence[str]) -> Any:
