@@ -67,5 +67,5 @@ def _warn_of_dependence(name: str, labels: list[str], values: FloatArray) -> Non
     which = "; ".join(parallel) if parallel else ", ".join(labels)
     warnings.warn(
         f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",
-        stacklevel=6,
+        stacklevel=7,
     )

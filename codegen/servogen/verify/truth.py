@@ -13,12 +13,11 @@ import mpmath as mp
 import numpy as np
 
 from servogen import exact
-from servogen.derive.derive import derive
+from servogen.compiler import optimised_scene
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
 from servogen.ir.numbers import as_fraction
 from servogen.ir.rounding import rounding_bounds
-from servogen.optimise.for_scene import optimise_formulation
 from servogen.plan import textbook_solver
 from servogen.plan.module import Module
 from servogen.plan.solver import SolverPlan
@@ -83,7 +82,7 @@ class Truth:
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
         self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
         self.count = len(next(iter(self.inputs.values())))
-        optimised = optimise_formulation(derive(scene))
+        _, optimised = optimised_scene(scene)
         self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.problems: list[str] = []
