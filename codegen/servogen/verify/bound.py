@@ -195,13 +195,15 @@ def _words(dump: str) -> dict[int, int]:
 
 def _table(before: list[re.Match[str]], operands: str, words: Mapping[int, int]) -> Step | None:
     """Where `mov pc, rN` goes that takes its address from a table; the code before it names table and last index."""
-    if not (register := re.match(r"pc, (r\d+)$", operands)):
-        return None
     text = "\n".join(f"{f[3]} {f[4]}" for f in before)
-    table = re.findall(rf"ldr {register[1]}, \[pc, #\d+\]\s*@ \(([0-9a-f]+)", text)
-    last = re.findall(r"cmp r\d+, #(\d+)\nbhi", text)
-    base = words.get(int(table[-1], 16)) if table else None
-    entries = [words.get(base + 4 * k) for k in range(int(last[-1]) + 1)] if base is not None and last else [None]
+    register = re.match(r"pc, (r\d+)$", operands)
+    table = register and re.search(rf"ldr {register[1]}, \[(r\d+), r\d+\]$", text)
+    base = table and re.search(rf"ldr {table[1]}, \[pc, #\d+\]\s*@ \(([0-9a-f]+)", text)
+    last = re.search(r"cmp r\d+, #(\d+)\nb(?:hi|ls)", text)
+    if not base or not last:
+        return None
+    first = words.get(int(base[1], 16), -1)
+    entries = [words.get(first + 4 * k) for k in range(int(last[1]) + 1)]
     return None if None in entries else Step(tuple(sorted({e & ~1 for e in entries if e is not None})))
 
 
