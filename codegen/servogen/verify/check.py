@@ -31,7 +31,8 @@ class OutputCheck:
     """One output of one entry point of one package on one target.
 
     max_ulps: largest error over the domain in ulps of the output's scale; max_ratio: largest error / tolerance over
-    all states; reference_ulps: the same error of the textbook reference; problem: empty if passed.
+    all states; reference_ulps: the same error of the textbook reference; histogram: as in OutputResult; problem: empty if
+    passed.
     """
 
     scene: str
@@ -44,6 +45,7 @@ class OutputCheck:
     reference_ulps: float | None
     max_ratio: float
     hash: str
+    histogram: tuple[int, ...]
     problem: str
 
 
@@ -216,6 +218,7 @@ def _output_check(case: _Case, target: str, o: OutputResult, references: dict[st
         references.get(o.output if o.entry not in ("project", "step") else ""),
         o.max_ratio,
         o.hash,
+        o.histogram,
         o.problem,
     )
 
