@@ -45,13 +45,16 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """S tau = z, G tau = R or A tau' = B with what belongs to it; `system` names the two, `constraint` psi or phi."""
+    """S tau = z, G tau = R or A tau' = B with what belongs to it; `system` names the two, `constraint` psi or phi.
+
+    curvature: the (row of phi, i, j) of each entry of the quantity of that name; empty where phi is affine in tau.
+    """
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
-    affine_in_tau: bool = True
     weight: Weight | None = None
+    curvature: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def system(self) -> tuple[str, str]:
