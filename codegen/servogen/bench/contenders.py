@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,6 +24,13 @@ from servogen.twins.reference import reference
 BASELINE = "CasADi cse"
 
 _REAL = {"float64": "double", "float32": "float"}
+
+_SYSTEMS: dict[str, dict[Output, str]] = {
+    "servo": {Output.MATRIX: "S", Output.RIGHT: "z"},
+    "ideal": {Output.RIGHT: "R"},
+    "controls": {Output.MATRIX: "A", Output.RIGHT: "B"},
+}
+"""The entry points beside control."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +93,8 @@ def default_contenders(scene: Scene, inputs: Inputs, capacity: int) -> tuple[Con
 
 def output_sizes(scene: Scene) -> dict[Output, int]:
     """Entries of each output."""
-    m, l = scene.rows, scene.controls
-    return {Output.MATRIX: m * l, Output.RIGHT: m, Output.ANSWER: l}
+    rows, l = scene.system_shape
+    return {Output.MATRIX: rows * l, Output.RIGHT: rows, Output.ANSWER: l}
 
 
 def servogen_c(scene: Scene, inputs: Inputs, capacity: int, scalar: Scalar) -> CContender:
@@ -98,12 +106,11 @@ def servogen_c(scene: Scene, inputs: Inputs, capacity: int, scalar: Scalar) -> C
             for name in (f"{package.prefix}.h", f"{package.prefix}.c")
         )
     p = package.prefix
-    matrix, right = scene.system.matrix, scene.system.right
     calls = {
-        Output.MATRIX: Call(f"{p}_{matrix}(&model, &inputs[k], out)", f"{p}_{matrix}"),
-        Output.RIGHT: Call(f"{p}_{right}(&model, &inputs[k], out)", f"{p}_{right}"),
-        Output.ANSWER: Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control"),
+        output: Call(f"{p}_{name}(&model, &inputs[k], out)", f"{p}_{name}")
+        for output, name in _SYSTEMS[scene.kind].items()
     }
+    calls[Output.ANSWER] = Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control")
     declarations = _servogen_declarations(package.module, inputs, capacity)
     return CContender(
         f"servogen {scalar.replace('float', 'f')}", f"servogen_{scalar}", scalar, True, files, declarations, calls
@@ -214,7 +221,6 @@ static void load(const double *parameters, const double *states, long n)
 def textbook(scene: Scene) -> PythonContender:
     """servogen.reference: numpy's SVD with our rank policy."""
     twin = reference(scene)
-    matrix, right = scene.system.matrix, scene.system.right
 
     def part(name: str, state: Mapping[str, FloatArray]) -> Answer:
         status, result = twin.system(twin.read_inputs(dict(state)))
@@ -224,17 +230,16 @@ def textbook(scene: Scene) -> PythonContender:
         control = twin.control(**state)
         return int(control.info.status), control.value
 
-    calls = {
-        Output.MATRIX: lambda state: part(matrix, state),
-        Output.RIGHT: lambda state: part(right, state),
-        Output.ANSWER: answer,
+    calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
+        output: partial(part, name) for output, name in _SYSTEMS[scene.kind].items()
     }
+    calls[Output.ANSWER] = answer
     return PythonContender("textbook twin", "float64", False, calls)
 
 
 def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
     """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv."""
-    found = user.expressions(scene)
+    found = {Output.MATRIX: ca.densify(scene.mechanism.G), **user.expressions(scene)}
     functions = {
         output: user.function(scene, f"numpy_{output.value}", found[output], cse=True)
         for output in (Output.MATRIX, Output.RIGHT)
@@ -259,9 +264,11 @@ def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
         y = call(free, state)
         return 0, np.ravel(y + inverse @ (z - S @ y))
 
-    calls = {
-        Output.MATRIX: lambda state: (0, np.ravel(call(functions[Output.MATRIX], state))),
-        Output.RIGHT: lambda state: (0, np.ravel(call(functions[Output.RIGHT], state))),
-        Output.ANSWER: answer,
+    def part(output: Output, state: Mapping[str, FloatArray]) -> Answer:
+        return 0, np.ravel(call(functions[output], state))
+
+    calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
+        output: partial(part, output) for output in _SYSTEMS[scene.kind]
     }
+    calls[Output.ANSWER] = answer
     return PythonContender("CasADi VM, numpy", "float64", False, calls)

@@ -8,7 +8,10 @@ from servogen.scalars import Scalar
 
 
 class Output(StrEnum):
-    """What is timed and judged: the matrix, the right side, and the answer of the system."""
+    """What is timed and judged: the matrix, the right side, and the answer of the system.
+
+    The matrix G of ideal control forces is the user's own: it is not judged.
+    """
 
     MATRIX = "matrix"
     RIGHT = "right"
@@ -17,6 +20,7 @@ class Output(StrEnum):
 
 LABELS: dict[str, dict[Output, str]] = {
     "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.ANSWER: "tau"},
+    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
     "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.ANSWER: "tau'"},
 }
 

@@ -19,8 +19,11 @@ def arguments(scene: Scene) -> list[tuple[str, Any]]:
 
 
 def expressions(scene: Scene) -> dict[Output, Any]:
-    """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41)."""
-    S, z = _servo(scene) if scene.kind == "servo" else _controls(scene)
+    """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41).
+
+    Of ideal control forces R (n) and the answer alone, Eqs. (16)-(17).
+    """
+    S, z = {"servo": _servo, "ideal": _ideal, "controls": _controls}[scene.kind](scene)
     inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
@@ -28,6 +31,8 @@ def expressions(scene: Scene) -> dict[Output, Any]:
         y = scene.y_symbol if isinstance(scene.y, str) else scene.y
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
     found = {Output.MATRIX: S, Output.RIGHT: z, Output.ANSWER: tau}
+    if scene.kind == "ideal":
+        del found[Output.MATRIX]  # G, as the user wrote it
     return {output: ca.densify(expression) for output, expression in found.items()}
 
 
@@ -45,6 +50,20 @@ def function(scene: Scene, name: str, expression: Any, cse: bool) -> Any:
 
 def _servo(scene: Scene) -> tuple[Any, Any]:
     mech = scene.mechanism
+    psi_u, rest = _rows(scene)
+    return ca.mtimes(psi_u, ca.solve(mech.Q, mech.G)), rest - ca.mtimes(psi_u, ca.solve(mech.Q, mech.P))
+
+
+def _ideal(scene: Scene) -> tuple[Any, Any]:
+    mech = scene.mechanism
+    J, b = _rows(scene)
+    inertia = ca.mtimes(J, ca.solve(mech.Q, J.T))
+    return mech.G, ca.mtimes(J.T, ca.solve(inertia, b - ca.mtimes(J, ca.solve(mech.Q, mech.P))))
+
+
+def _rows(scene: Scene) -> tuple[Any, Any]:
+    """J and b of the rows J u' = b."""
+    mech = scene.mechanism
     J, X, prescribed = [], [], []
     for c in scene.constraints:
         assert not isinstance(c, ControlsInvolved)
@@ -57,10 +76,7 @@ def _servo(scene: Scene) -> tuple[Any, Any]:
             J.append(ca.jacobian(c.psi, mech.u))
             X.append(psi_dot)
             prescribed.append(ca.mtimes(c.Theta, c.psi))
-    psi_u = ca.vertcat(*J)
-    S = ca.mtimes(psi_u, ca.solve(mech.Q, mech.G))
-    z = -ca.mtimes(psi_u, ca.solve(mech.Q, mech.P)) - ca.vertcat(*X) + ca.vertcat(*prescribed)
-    return S, z
+    return ca.vertcat(*J), ca.vertcat(*prescribed) - ca.vertcat(*X)
 
 
 def _controls(scene: Scene) -> tuple[Any, Any]:

@@ -45,13 +45,16 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """The quantities of the scene's linear system and what belongs to it."""
+    """The quantities of the scene's linear system and what belongs to it.
+
+    curvature: the (row of phi, i, j) of each entry of the quantity of that name; empty where phi is affine in tau.
+    """
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
-    affine_in_tau: bool = True
     weight: Weight | None = None
+    curvature: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def factorised(self) -> str:

@@ -1,4 +1,4 @@
-"""Do the constraints reach the controls? Rows of S (or A) that vanish identically, or can never be independent."""
+"""Are the constraints numbers, and do they reach the controls? Rows of S (or A) that vanish identically, or can never be independent."""
 
 import warnings
 
@@ -6,12 +6,14 @@ import numpy as np
 
 from servogen.derive.formulation import Formulation
 from servogen.derive.lower import lower_quantities, parameter_defaults
+from servogen.derive.mass import sample
 from servogen.errors import SceneError
 from servogen.ir.evaluate import evaluate
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
+from servogen.scene.constraints import expression_of
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
@@ -42,6 +44,17 @@ def check_reach(formulation: Formulation) -> None:
             )
     if scene.rows <= formulation[name].size2():
         _warn_of_dependence(name, labels, values)
+
+
+def check_finite(formulation: Formulation) -> None:
+    """SceneError naming the constraint, or else the quantity, that is a finite number at no state drawn."""
+    scene = formulation.scene
+    symbol = scene.system.constraint
+    named = [(f"constraint {c.name!r}: {symbol}", expression_of(c)) for c in scene.constraints]
+    named += [(q.name, q.expression) for q in formulation.quantities if q.name not in (symbol, scene.system.reach)]
+    for what, expression in named:
+        if not np.any(np.all(np.isfinite(sample(scene, expression)), axis=(1, 2))):
+            raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
 
 
 def _row_labels(scene: Scene) -> list[str]:

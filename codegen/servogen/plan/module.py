@@ -110,7 +110,8 @@ class ControlPlan:
     y: None, "expression" (from the kernel, by the name `free`) or "input".
     recover: with a weight, per row of L^-T the (place in the kernel's `recover`, column) of its nonzeros.
     known: the matrix does not depend on the state. reaction: the right side is that of ideal control forces.
-    projection: the kernel of phi and A where project and step are asked for; affine: one iteration is exact.
+    projection: the kernel of phi, A and, where phi is not affine in tau, its second derivatives by tau, where project
+    and step are asked for. curvature: the (row of phi, i, j <= i) of each of these.
     """
 
     kernel: Kernel
@@ -123,6 +124,7 @@ class ControlPlan:
     reaction: Reaction | None = None
     projection: Kernel | None = None
     projection_cap: int = 0
+    curvature: tuple[tuple[int, int, int], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,9 @@ from servogen.scene.symbols import Field
 PROJECTION_CAP = 25
 """Iterations of project where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
 
+AFFINE_CAP = 2
+"""Iterations of project where it is: one is exact, another takes back the rounding of a start far away."""
+
 
 def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> Module:
     """Every decision about the C of one scene."""
@@ -86,10 +89,13 @@ def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", s
     kernel = cutter.kernel(*names)
     if known is not None and known.kernel is not None:
         cutter.add(known.kernel)
-    projection = cutter.kernel(scene.system.constraint, scene.system.matrix) if scene.system.tau_is_state else None
-    cap = 0 if projection is None else 1 if formulation.affine_in_tau else PROJECTION_CAP
+    curvature = formulation.curvature
+    bends = ("curvature",) if curvature else ()
+    system = scene.system
+    projection = cutter.kernel(system.constraint, system.matrix, *bends) if system.tau_is_state else None
+    cap = 0 if projection is None else PROJECTION_CAP if curvature else AFFINE_CAP
     pattern = weight.pattern if weight is not None else ()
-    return ControlPlan(kernel, scene.system, matrix, y, free, pattern, known, reaction, projection, cap)
+    return ControlPlan(kernel, system, matrix, y, free, pattern, known, reaction, projection, cap, curvature)
 
 
 def _reaction_solver(solver: Solver) -> Solver:

@@ -6,6 +6,7 @@ The independent reference for the generated C: nothing is shared with the templa
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Path, Status
@@ -60,6 +61,21 @@ def pinv(S: FloatArray, plan: SolverPlan, last: FloatArray | None = None) -> tup
         if damped:
             status = Status.REGULARISED
         return matrix, _info(status, rank, S, 0.0, plan)
+
+
+def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
+    """Exponents e such that 2^-(e_i + e_j) matrix_ij has no entry far above 1; about 1 on a positive diagonal.
+
+    Bunch, "Equilibration of symmetric matrices in the max-norm", J. ACM 18 (1971); 0 for a row of zeros.
+    """
+    size = np.maximum(np.abs(matrix), np.abs(matrix.T))
+    power = [[int(np.frexp(x)[1]) - 1 if x > 0 else None for x in row] for row in size]
+    units = [None if (own := row[k]) is None else own // 2 for k, row in enumerate(power)]
+    for _ in range(2):
+        for i, row in enumerate(power):
+            reach = [k - e for j, (k, e) in enumerate(zip(row, units, strict=True)) if j != i and None not in (k, e)]
+            units[i] = max([*reach, *([] if units[i] is None else [units[i]])], default=None)
+    return np.array([e or 0 for e in units])
 
 
 def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:

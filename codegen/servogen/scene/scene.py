@@ -146,6 +146,12 @@ class Scene:
         return cached
 
 
+def check_scene(scene: object, what: str) -> None:
+    """SceneError unless it is a Scene; what: the function that was called."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f"{what}: give an sg.Scene; got {type(scene).__name__}")
+
+
 def _state_field(name: str, symbol: Any) -> Field:
     elements = [e.name() for e in symbol.nonzeros()]
     return Field(name, symbol, (0.0,) * symbol.size1(), "", ", ".join(elements))

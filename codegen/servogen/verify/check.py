@@ -19,7 +19,7 @@ from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.truth import BAR, Truth, states_to_check
-from servogen.verify.vectors import VectorSet, ulp
+from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
 
 STATES = 2000
 HOST_COMPILERS = ("gcc", "clang")
@@ -263,10 +263,13 @@ def _formula_problems(case: _Case, reference_ulps: dict[str, float]) -> list[str
 
 
 def _not_covered(case: _Case) -> list[str]:
-    """Functions that no vector judges, with the reason."""
-    if case.truth.control.projection_cap > 1:
-        return [f"{case.package.prefix}: project and step, since phi is not affine in tau; the tests compare twins"]
-    return []
+    """What no vector judges, with the reason."""
+    projected = next((e for e in case.vectors.entries if e.call == "project"), None)
+    if projected is None:
+        return []
+    unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
+    words = f"{case.package.prefix}: project at {unknown} of {case.truth.drawn} states, where Newton's method leads to no nearest tau"
+    return [words] if unknown else []
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:

@@ -24,6 +24,8 @@ Integers = NDArray[np.integer[Any]]
 
 ANY_ANSWER = 127
 """Expected status of a vector whose answer must be written, whatever the remark that comes with it."""
+ANY_STATUS = -127
+"""Expected status of a vector of which nothing is known but that a refusal leaves the outputs alone."""
 ANY_RANK = -1
 """Expected rank of a vector whose rank is not compared."""
 MAX_OUTPUTS = 8
@@ -69,7 +71,7 @@ class EntryVectors:
         step     (model, in, dt, output, info)
         pinv     (S, output, info), with S in `arguments`
         solve    (S, z, y, output, info), with S, z and perhaps y in `arguments`; without, y is NULL
-    status: (N,) expected status, or ANY_ANSWER; None stands for ANY_ANSWER throughout.
+    status: (N,) expected status, ANY_ANSWER or ANY_STATUS; None stands for ANY_ANSWER throughout.
     rank: (N,) expected rank, or ANY_RANK; None compares none. dt: in seconds, for step alone.
     domain: errors are measured in ulps over the first `domain` vectors; those behind them (huge, say) are judged by
     their tolerance alone. None: over all.
