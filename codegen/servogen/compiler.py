@@ -11,7 +11,6 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
-from servogen.optimise.for_scene import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
@@ -21,6 +20,7 @@ from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
+from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
 
 
 def build(
