@@ -1,15 +1,17 @@
 """The pipeline, on one page: derive, lower, optimise, plan, render, write."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from servogen.derive.derive import derive
-from servogen.derive.formulation import MassTreatment, Quantity
+from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
-from servogen.optimise.for_scene import optimise_formulation, optimise_quantities
+from servogen.optimise.for_scene import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
@@ -45,9 +47,16 @@ def build(
 
 def compile_scene(scene: Scene, target: Target) -> Module:
     """Scene -> Module: every stage but printing and writing."""
-    formulation = derive(scene)
-    program = optimise_formulation(formulation)
+    formulation, program = optimised_scene(scene)
     return plan(formulation, program, target)
+
+
+@lru_cache(maxsize=16)
+def optimised_scene(scene: Scene) -> tuple[Formulation, SceneProgram]:
+    """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
+    formulation = derive(scene)
+    lowered, model = lower(formulation), lower_model(scene)
+    return formulation, optimise_formulation(formulation, lowered, model)
 
 
 def build_solver(
@@ -94,7 +103,8 @@ def build_plant(
 
 def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, target: Target) -> Module:
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
-    program = optimise_quantities(scene, quantities, mass)
+    lowered, model = lower_quantities(scene, quantities, mass), lower_model(scene)
+    program = optimise_quantities(scene, quantities, mass, lowered, model)
     return plan_functions(scene, quantities, mass, program, target)
 
 

@@ -82,6 +82,30 @@ def test_functions_of_known_quantities_mixed_with_others() -> None:
     compare(scene, draw(scene, robot))
 
 
+def test_friction_and_rotor_inertia_are_not_lost() -> None:
+    """The robot's own choice of accelerations holds for its own Q and P alone."""
+    robot = sg.urdf.load(IIWA, quiet=True)
+    mech = robot.mechanism
+    assert mech.gauge is not None
+    constraint = sg.Holonomic("place", robot.position(IIWA_TOOL), **GAINS)
+    for Q, P in ((mech.Q, mech.P - 0.3 * mech.u), (mech.Q + 0.1 * ca.SX.eye(7), mech.P)):
+        changed = sg.Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=P, G=mech.G, known=mech.known)
+        assert changed.gauge is None
+        scene = sg.Scene("changed", changed, [constraint])
+        compare(scene, draw(scene, robot))
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_accelerations_at_ease_obey_the_equations_of_motion(base: Any) -> None:
+    robot = sg.urdf.load(A1, base=base, quiet=True)
+    mech, gauge = robot.mechanism, robot.mechanism.gauge
+    assert gauge is not None
+    off = ca.Function("off", [mech.q, mech.u], [mech.P - mech.Q @ gauge.u_dot - gauge.force, mech.P])
+    q, u, _ = draw_state(robot, np.random.default_rng(4))
+    difference, P = off(q, u)
+    assert ca.norm_inf(difference) < 1e-12 * ca.norm_inf(P)
+
+
 @pytest.mark.parametrize("stretch", [1.0, 1.3])
 def test_feet_of_a_floating_quadruped(stretch: float) -> None:
     robot = sg.urdf.load(A1, base="floating", quiet=True)

@@ -8,9 +8,8 @@ import numpy as np
 
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Boundary, Errors, Output
-from servogen.derive.derive import derive
+from servogen.compiler import optimised_scene
 from servogen.derive.formulation import Weight
-from servogen.derive.lower import lower
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
@@ -21,16 +20,16 @@ Truth = dict[Output, list[list[Any]]]
 
 
 def truth(scene: Scene, inputs: Inputs) -> Truth:
-    """S, z (or R) by the program's 50-digit interpreter, and tau by exact elimination with them."""
-    formulation = derive(scene)
-    matrix, right = formulation.system
+    """S, z (or R) by the unoptimised program's 50-digit interpreter, and tau by exact elimination with them."""
+    formulation, program = optimised_scene(scene)
+    matrix, right = scene.system.matrix, scene.system.right
     weight = formulation.weight
     factorised = formulation.factorised
     columns = inputs.columns()
     l = scene.controls
     columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
     result: Truth = {output: [] for output in Output}
-    for k, exact in enumerate(evaluate_exactly(lower(formulation), columns)):
+    for k, exact in enumerate(evaluate_exactly(program.exact, columns)):
         S, z = exact[matrix], _reaction(exact) if scene.kind == "ideal" else exact[right]
         y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
         result[Output.MATRIX].append(S)

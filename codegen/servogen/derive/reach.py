@@ -25,7 +25,7 @@ def check_reach(formulation: Formulation) -> None:
 
     A row is identically zero when it is within its own rounding error of zero at every state drawn.
     """
-    scene, name = formulation.scene, formulation.reach
+    scene, name = formulation.scene, formulation.scene.system.reach
     labels = _row_labels(scene)
     quantities = [q for q in formulation.quantities if q.name == name]
     program = number_values(optimise(lower_quantities(scene, quantities)))
@@ -49,9 +49,9 @@ def check_reach(formulation: Formulation) -> None:
 def check_finite(formulation: Formulation) -> None:
     """SceneError naming the constraint, or else the quantity, that is a finite number at no state drawn."""
     scene = formulation.scene
-    symbol = formulation.constraint
+    symbol = scene.system.constraint
     named = [(f"constraint {c.name!r}: {symbol}", expression_of(c)) for c in scene.constraints]
-    named += [(q.name, q.expression) for q in formulation.quantities if q.name not in (symbol, formulation.reach)]
+    named += [(q.name, q.expression) for q in formulation.quantities if q.name not in (symbol, scene.system.reach)]
     for what, expression in named:
         if not np.any(np.all(np.isfinite(sample(scene, expression)), axis=(1, 2))):
             raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
@@ -80,5 +80,5 @@ def _warn_of_dependence(name: str, labels: list[str], values: FloatArray) -> Non
     which = "; ".join(parallel) if parallel else ", ".join(labels)
     warnings.warn(
         f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",
-        stacklevel=6,
+        stacklevel=7,
     )

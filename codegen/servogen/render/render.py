@@ -32,10 +32,10 @@ class SourceFile:
 
 
 @cache
-def environment() -> Environment:
-    """Templates of servogen; a name that is not defined is an error."""
+def environment(folder: str = "render") -> Environment:
+    """The C templates in servogen/<folder>/templates; a name that is not defined is an error."""
     templates = Environment(
-        loader=PackageLoader("servogen.render", "templates"),
+        loader=PackageLoader("servogen", f"{folder}/templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -109,7 +109,7 @@ def _shim(module: Module) -> dict[str, Any]:
         {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
         for k, (struct, f) in enumerate(fields)
     ]
-    return {"arguments": arguments, "answer": "tau_dot" if module.control.system[0] == "A" else "tau"}
+    return {"arguments": arguments, "answer": module.control.system.answer}
 
 
 def _emitted(module: Module) -> dict[str, bool]:

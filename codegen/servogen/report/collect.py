@@ -141,7 +141,7 @@ def _scene_report(
             for q in formulation.quantities
         ),
         constraints=tuple(_constraint(c) for c in scene.constraints),
-        patterns=(_pattern("Q", scene.mechanism.Q), _pattern(formulation.reach, formulation[formulation.reach])),
+        patterns=(_pattern("Q", scene.mechanism.Q), _pattern(scene.system.reach, formulation[scene.system.reach])),
         mass=formulation.mass.reason,
         call=_call(packages["float64"]),
         trajectory=trajectory,

@@ -26,6 +26,7 @@ from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
+from servogen.scene.system import SYSTEMS, Kind, System
 
 State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
@@ -98,9 +99,14 @@ class Scene:
             )
 
     @property
-    def kind(self) -> Literal["servo", "ideal", "controls"]:
+    def kind(self) -> Kind:
         """Servo-constraints (S tau = z), ideal control forces (G tau = R) or controls-involved ones (A tau' = B)."""
         return "controls" if isinstance(self.constraints[0], ControlsInvolved) else self.mode
+
+    @property
+    def system(self) -> System:
+        """What the kind's linear system is called."""
+        return SYSTEMS[self.kind]
 
     @property
     def rows(self) -> int:
@@ -124,11 +130,10 @@ class Scene:
         fields = [_state_field("q", mech.q), _state_field("u", mech.u)]
         if mech.t is not None:
             fields.append(_state_field("t", mech.t))
-        if self.kind == "controls":
+        if self.system.tau_is_state:
             fields.append(_state_field("tau", mech.tau))
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
-        assert self.references is not None
         return (*fields, *self.references)
 
     @property
@@ -216,7 +221,7 @@ def _check_kinds(scene: Scene) -> None:
         )
     for what in ("y", "weight"):
         value = getattr(scene, what)
-        if scene.kind != "controls" and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
+        if not scene.system.tau_is_state and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
             raise SceneError(f"{what} depends on tau, which the scene solves for; make {what} a function of the inputs")
     parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
     for c in scene.constraints:

@@ -102,7 +102,7 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     """(name, SX symbol) of everything an output may use: parameters, inputs and tau."""
     fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
-    return fields if scene.kind == "controls" else [*fields, ("tau", scene.mechanism.tau)]
+    return fields if scene.system.tau_is_state else [*fields, ("tau", scene.mechanism.tau)]
 
 
 def moving_references(scene: Scene, simulation: Simulation, t: Any) -> dict[str, Any]:

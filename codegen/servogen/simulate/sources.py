@@ -100,8 +100,8 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "servo": scene.kind != "controls",
-        "constraint": "phi" if scene.kind == "controls" else "psi",
+        "servo": not scene.system.tau_is_state,
+        "constraint": scene.system.constraint,
         "given": given,
         "given_count": sum(f["size"] for f in given),
         "offsets": {f["name"]: f["offset"] for f in parameters},
@@ -110,7 +110,7 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
         "nu": nu,
         "l": scene.controls,
         "m": scene.rows,
-        "states": nq + nu + (scene.controls if scene.kind == "controls" else 0),
+        "states": nq + nu + (scene.controls if scene.system.tau_is_state else 0),
     }
 
 

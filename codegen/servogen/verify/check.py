@@ -31,7 +31,8 @@ class OutputCheck:
     """One output of one entry point of one package on one target.
 
     max_ulps: largest error over the domain in ulps of the output's scale; max_ratio: largest error / tolerance over
-    all states; reference_ulps: the same error of the textbook reference; problem: empty if passed.
+    all states; reference_ulps: the same error of the textbook reference; histogram: as in OutputResult; problem: empty if
+    passed.
     """
 
     scene: str
@@ -44,6 +45,7 @@ class OutputCheck:
     reference_ulps: float | None
     max_ratio: float
     hash: str
+    histogram: tuple[int, ...]
     problem: str
 
 
@@ -216,6 +218,7 @@ def _output_check(case: _Case, target: str, o: OutputResult, references: dict[st
         references.get(o.output if o.entry not in ("project", "step") else ""),
         o.max_ratio,
         o.hash,
+        o.histogram,
         o.problem,
     )
 
@@ -225,9 +228,9 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     truth = case.truth
     twin = reference(case.scene, case.scalar)
     worst: dict[str, float] = {}
-    answer = "tau_dot" if case.scene.kind == "controls" else "tau"
+    answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
-    names = (case.package.module.entry_points[0].name, *truth.control.system)
+    names = (case.package.module.entry_points[0].name, truth.control.system.matrix, truth.control.system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -301,7 +304,7 @@ def _system(
 ) -> tuple[Status, FloatArray, FloatArray]:
     """The system the solver gets: the code's own words for it, and by the scalar's own arithmetic what has no entry."""
     control = case.truth.control
-    matrix, right = control.system
+    matrix, right = control.system.matrix, control.system.right
     if control.matrix == matrix and control.reaction is None:
         status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
         return status, S, z

@@ -42,7 +42,8 @@ class OutputResult:
     ulps of the output's scale, over the domain's vectors. max_ratio: largest error / tolerance, at vector `worst`,
     element `element` (flat). status_mismatches, rank_mismatches: per entry point. touched: values changed under a
     negative status. overruns: guard words changed. drift: values that differed when the same vector was run again.
-    hash: 64-bit FNV-1a over the statuses and the bits of all answers. problem: empty if passed, else what is wrong.
+    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1, 2,
+    4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else what is wrong.
     """
 
     entry: str
@@ -60,6 +61,7 @@ class OutputResult:
     overruns: int
     drift: int
     hash: str
+    histogram: tuple[int, ...]
     problem: str
 
     @property
@@ -78,12 +80,16 @@ class Dump:
 
 @dataclass(frozen=True)
 class Cost:
-    """Instructions of one call of an entry point, info included: over `vectors` vectors, the worst of them `vector`."""
+    """Instructions of one call of an entry point, info included: over `vectors` vectors, the worst of them `vector`.
+
+    stack: the most bytes any call took below its caller's, found by painting.
+    """
 
     worst: int
     mean: int
     vector: int
     vectors: int
+    stack: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,6 +391,7 @@ def _output_result(words: Mapping[str, str], vectors: int, comparisons: int) -> 
         overruns=numbers["overruns"],
         drift=numbers["drift"],
         hash=words["hash"],
+        histogram=tuple(int(n) for n in words["histogram"].split(",")),
         problem="; ".join(remarks),
     )
 
@@ -430,7 +437,7 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
 def _costs(lines: list[dict[str, str]]) -> dict[str, Cost]:
     """All `cost` lines whose every vector was counted."""
     found = [words for words in lines if words[""] == "cost" and words["missing"] == "0"]
-    return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors"))) for w in found}
+    return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors", "stack"))) for w in found}
 
 
 def _complaint(log: str, exit_code: int) -> str:

@@ -13,12 +13,11 @@ import mpmath as mp
 import numpy as np
 
 from servogen import exact
-from servogen.derive.derive import derive
+from servogen.compiler import optimised_scene
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
 from servogen.ir.numbers import as_fraction
 from servogen.ir.rounding import rounding_bounds
-from servogen.optimise.for_scene import optimise_formulation
 from servogen.plan import textbook_solver
 from servogen.plan.module import Module
 from servogen.plan.solver import SolverPlan
@@ -87,7 +86,7 @@ class Truth:
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
         self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
         self.count = len(next(iter(self.inputs.values())))
-        optimised = optimise_formulation(derive(scene))
+        _, optimised = optimised_scene(scene)
         self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.problems: list[str] = []
@@ -159,7 +158,7 @@ class Truth:
         status = self._evaluated(k, results, bool(control.kernel.guards))
         if control.reaction is None:
             return self._unweighted(
-                point, self._solved(point, control.matrix, control.system[1], status, self._free(k))
+                point, self._solved(point, control.matrix, control.system.right, status, self._free(k))
             )
         reaction = self.reactions[k]
         status = (
@@ -305,7 +304,7 @@ class Truth:
         drawn = stacked[: self.drawn]
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
-        output = OutputVectors.of(f"{self.control.system[0]}_pinv", expected, limits, scale, self.scalar)
+        output = OutputVectors.of(f"{self.control.system.matrix}_pinv", expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
@@ -326,7 +325,7 @@ class Truth:
         tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
         known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
         expected, limits = _comparable(values, tolerance, self.scalar)
-        name = "tau_dot" if self.scene.kind == "controls" and entry == "control" else "tau"
+        name = self.control.system.answer if entry == "control" else "tau"
         output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
         status = np.array([a.status for a in answers])
         rank = np.array([a.rank if a.status not in (ANY_ANSWER, ANY_STATUS) else ANY_RANK for a in answers])

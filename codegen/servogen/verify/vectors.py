@@ -9,13 +9,13 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Literal
 
-import jinja2
 import mpmath
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from servogen.render.render import environment
 
 Scalar = Literal["float64", "float32"]
 Call = Literal["plain", "control", "project", "step", "pinv", "solve"]
@@ -165,7 +165,7 @@ def render_vectors(vectors: VectorSet) -> str:
     Raises:
         ValueError: shapes, names or numbers do not fit together; the message says which.
     """
-    return _template().render(_context(vectors))
+    return environment().get_template("vectors.h.j2").render(_context(vectors))
 
 
 def data_bytes(vectors: VectorSet) -> int:
@@ -407,16 +407,3 @@ def _check_shape(where: str, array: Any, shape: tuple[int | None, int | None]) -
     if len(given) != 2 or any(w is not None and w != g for w, g in zip(shape, given, strict=True)):
         wanted = ", ".join("N" if n is None else str(n) for n in shape)
         raise ValueError(f"{where}: shape {given}, expected ({wanted})")
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("servogen", "render/templates"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template("vectors.h.j2")

@@ -3,7 +3,7 @@
 #   servogen_arm_board(<linker script> <frequency of the emulator's SysTick, in Hz>)
 function(servogen_arm_board script clock)
   set(common "${CMAKE_CURRENT_FUNCTION_LIST_DIR}")
-  add_library(servogen_target OBJECT "${common}/startup.c" "${common}/hal.c" "${common}/counter.c")
+  add_library(servogen_target OBJECT "${common}/startup.c" "${common}/hal.c" "${common}/counter.c" "${common}/stack.c")
   target_compile_definitions(servogen_target PRIVATE BOARD_CLOCK_HZ=${clock}u)
   target_link_options(servogen_target INTERFACE
     -nostartfiles "-L${common}" "-T${CMAKE_CURRENT_SOURCE_DIR}/${script}" -Wl,--gc-sections)
