@@ -51,7 +51,7 @@ def compile_scene(scene: Scene, target: Target) -> Module:
     return plan(formulation, program, target)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def optimised_scene(scene: Scene) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
     formulation = derive(scene)

@@ -1,4 +1,7 @@
-"""Are the constraints numbers, and do they reach the controls? Rows of S (or A) that vanish identically, or can never be independent."""
+"""Are the constraints numbers, and do they reach the controls?
+
+Found are values that exist nowhere, and rows of S (or A) that vanish identically or can never be independent.
+"""
 
 import warnings
 

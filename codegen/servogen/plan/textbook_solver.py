@@ -69,13 +69,13 @@ def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
     Bunch, "Equilibration of symmetric matrices in the max-norm", J. ACM 18 (1971); 0 for a row of zeros.
     """
     size = np.maximum(np.abs(matrix), np.abs(matrix.T))
-    power = [[int(np.frexp(x)[1]) - 1 if x > 0 else None for x in row] for row in size]
-    units = [None if (own := row[k]) is None else own // 2 for k, row in enumerate(power)]
+    power = np.where(size > 0, np.frexp(size)[1] - 1.0, -np.inf)
+    units = np.floor(np.diag(power) / 2)
     for _ in range(2):
-        for i, row in enumerate(power):
-            reach = [k - e for j, (k, e) in enumerate(zip(row, units, strict=True)) if j != i and None not in (k, e)]
-            units[i] = max([*reach, *([] if units[i] is None else [units[i]])], default=None)
-    return np.array([e or 0 for e in units])
+        for i in range(len(units)):
+            known = np.isfinite(units) & (np.arange(len(units)) != i)
+            units[i] = max(units[i], np.max(power[i, known] - units[known], initial=-np.inf))
+    return np.where(np.isfinite(units), units, 0).astype(np.int64)
 
 
 def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:

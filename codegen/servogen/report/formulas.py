@@ -1,7 +1,7 @@
 """A program as formulas: sums, products and fractions as one writes them, with names for what is shared."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -18,6 +18,7 @@ LARGEST = 400
 """Operations beyond which nobody reads formulas: their number is said instead."""
 
 _SUM, _PRODUCT, _ATOM = 1, 2, 3
+_SHORT = 64  # the largest denominator that is written out
 _WORDS = {"fmin": "min", "fmax": "max", "fabs": "abs", "log": "ln", "if_else_zero": "if"}
 _SIGNS = {"lt": "<", "le": "≤", "eq": "=", "ne": "≠", "and": "∧", "or": "∨"}
 
@@ -33,11 +34,10 @@ class Formulas:
     lines: tuple[str, ...]
 
 
-def formulas(program: Program, names: Callable[[str, int], str], left: Mapping[str, str] | None = None) -> Formulas:
+def formulas(program: Program, names: Callable[[str, int], str]) -> Formulas:
     """The outputs of a program, matrices as such.
 
-    names: (input, index) -> its name in the user's words. left: output -> MathML of what stands left of the sign; default
-    its name.
+    names: (input, index) -> its name in the user's words.
     """
     operations = program.operations()["total"]
     if operations > LARGEST:
@@ -45,14 +45,14 @@ def formulas(program: Program, names: Callable[[str, int], str], left: Mapping[s
     writer = _Writer(program, names)
     shared = writer.shared()
     definitions = tuple(math(writer.named[k], mo("="), writer.written(k)) for k in shared)
-    lines = [_line(writer, o, (left or {}).get(o.name) or symbol(o.name)) for o in program.outputs]
+    lines = [_line(writer, o) for o in program.outputs]
     return Formulas(operations, definitions, tuple(lines))
 
 
-def _line(writer: "_Writer", output: Output, left: str) -> str:
+def _line(writer: "_Writer", output: Output) -> str:
     entries = [writer.text(n)[0] for n in output.nodes]
     rows = [entries[k : k + output.columns] for k in range(0, len(entries), output.columns)]
-    return math(left, mo("="), matrix(rows))
+    return math(symbol(output.name), mo("="), matrix(rows))
 
 
 class _Writer:
@@ -175,26 +175,29 @@ class _Writer:
                 number = number * const if up else number / const
             else:
                 (above if up else below)[node] += 1
-        negative, number = number < 0, abs(number)
+        negative, number = number < 0, _as_fraction(abs(number))
         top, bottom = self._powers(above), self._powers(below)
-        if number.denominator in (1, 2, 3, 4, 6, 8) or number.denominator > 10**6:
-            over, under = number.numerator, number.denominator
-            if under > 10**6:
-                top.insert(0, (_number(number)[0], _ATOM))
-                over = under = 1
-            if over != 1:
-                top.insert(0, (mn(str(over)), _ATOM))
-            if under != 1:
-                bottom.insert(0, (mn(str(under)), _ATOM))
-        else:
+        over, under = (number.numerator, number.denominator) if number.denominator <= _SHORT else (None, 1)
+        if over is None:
             top.insert(0, _number(number))
+        elif over != 1:
+            top.insert(0, (mn(str(over)), _ATOM))
+        if under != 1:
+            bottom.insert(0, (mn(str(under)), _ATOM))
         if not bottom:
             return negative, _juxtaposed(top), _PRODUCT if len(top) > 1 else top[0][1]
         return negative, tag("mfrac", _juxtaposed(top), _juxtaposed(bottom)), _PRODUCT
 
     def _powers(self, factors: Counter[int]) -> list[Text]:
-        ordered = sorted(factors, key=lambda node: self._instrs[node].op in ("add", "sub") and node not in self.named)
+        ordered = sorted(factors, key=self._place)
         return [self._power(node, count) for node, count in ((n, factors[n]) for n in ordered)]
+
+    def _place(self, node: int) -> int:
+        """Symbols first, functions after them, sums in brackets last."""
+        instr = self._instrs[node]
+        if node in self.named or instr.const is not None:
+            return 0
+        return 2 if instr.op in ("add", "sub") else 1
 
     def _power(self, node: int, count: int) -> Text:
         if count == 1:
@@ -224,7 +227,7 @@ class _Writer:
             return self._trigonometric(instr.op, instr.args[0], 1), _PRODUCT
         if instr.op in _SIGNS:
             return row(_closed(arguments[0]), mo(_SIGNS[instr.op]), _closed(arguments[1])), _SUM
-        inner = [part for place, text in enumerate(texts) for part in ((mo(",") if place else ""), text)]
+        inner = [part for place, text in enumerate(texts) for part in (mo(",") if place else "", text)]
         return row(mi(_WORDS.get(instr.op, instr.op)), bracketed("".join(inner))), _ATOM
 
     def _trigonometric(self, op: str, argument: int, power: int) -> str:
@@ -252,6 +255,13 @@ def _juxtaposed(factors: Sequence[Text]) -> str:
 def _closed(operand: Text) -> str:
     text, binding = operand
     return text if binding > _SUM else bracketed(text)
+
+
+def _as_fraction(value: Fraction) -> Fraction:
+    """One twelfth for 0.08333333333333333; what has a short decimal is no fraction, but for the simplest."""
+    near = value.limit_denominator(_SHORT)
+    short = len(f"{float(value):.15g}") <= 6 and near.denominator not in (1, 2, 3, 4, 6, 8)
+    return near if not short and abs(near - value) <= abs(value) / 10**15 else value
 
 
 def _number(value: Fraction) -> Text:

@@ -47,13 +47,13 @@ def matrix(rows: Sequence[Sequence[str]]) -> str:
     """A matrix in brackets; a scalar as it is."""
     if len(rows) == 1 and len(rows[0]) == 1:
         return rows[0][0]
-    table = tag("mtable", *(tag("mtr", *(tag("mtd", entry) for entry in entries)) for entries in rows))
-    return tag("mrow", mo("["), table, mo("]"))
+    lines = (tag("mtr", *(tag("mtd", entry) for entry in entries)) for entries in rows)
+    return tag("mtable", *lines, displaystyle="true", **{"class": "matrix"})  # its brackets are the style sheet's
 
 
 def symbol(name: str) -> str:
     """theta_0 as a Greek letter with its index, r_dot_0 with a dot, m_B with a subscript, other words upright."""
-    words = [w for w in name.split("_") if w] or ["_"]
+    words = [w for w in re.sub(r"(?<=[A-Za-z])([0-9]+)$", r"_\1", name).split("_") if w] or ["_"]
     base, below, dots = words[0], [], ""
     for word in words[1:]:
         if word in ("dot", "ddot"):
@@ -63,11 +63,14 @@ def symbol(name: str) -> str:
     text = mi(GREEK.get(base, base))
     if dots:
         text = tag("mover", text, mo(dots), accent="true")
-    return tag("msub", text, tag("mtext", escape(",".join(below)))) if below else text
+    if not below:
+        return text
+    index = [mn(word) if word.isdigit() else mi(word) for word in below]
+    return tag("msub", text, row(*(part for k, one in enumerate(index) for part in ((mo(","),) if k else ()) + (one,))))
 
 
 def formula(text: str) -> str:
-    """A formula of the textbook in ASCII, "psi_u Q^-1 G": powers raised, indices lowered, Greek spelt out; words stay."""
+    """A formula of the textbook in ASCII, "psi_u Q^-1 G": powers raised, indices lowered, Greek letters; words stay."""
     parts: list[str] = []
     for power, name, digits, primes, number, sign, space, other in _FORMULA.findall(text):
         if power:
@@ -94,7 +97,7 @@ def _name(name: str, digits: str, primes: int) -> str:
     if base not in GREEK and base not in _MATRICES and len(base) > 1:
         return tag("mtext", escape(name + digits + "'" * primes))
     text = symbol("_".join([name, digits]) if digits else name)
-    return tag("msup", text, mo("′" * primes)) if primes else text
+    return row(text, tag("mo", "′" * primes, lspace="0", rspace="0.1em")) if primes else text
 
 
 def math(*parts: str, display: bool = True) -> str:

@@ -42,9 +42,8 @@ class Solver:
         if self.damping is not None and not (_is_number(self.damping) and self.damping > 0):
             raise SceneError(f"Solver(damping={self.damping!r}): give a positive number, or None for no damping")
         if self.atol is not None:
-            alone = not isinstance(self.atol, list | tuple | np.ndarray)
-            values = (self.atol,) if alone else tuple(self.atol)
-            if not values or not all(_is_number(v) and v >= 0 for v in values):
+            values = tuple(self.atol) if isinstance(self.atol, list | tuple | np.ndarray) else (self.atol,)
+            if not values or not all(_is_number(v) and float(v) >= 0 for v in values):  # type: ignore[arg-type]
                 raise SceneError(f"Solver(atol={self.atol!r}): give a finite number, zero or above, or one per row")
-            if not alone:
+            if values != (self.atol,):
                 object.__setattr__(self, "atol", values)  # a tuple hashes and compares

@@ -37,9 +37,7 @@ class Ref:
 
     def __post_init__(self) -> None:
         if isinstance(self.order, bool) or self.order not in (0, 1, 2):
-            raise SceneError(
-                f"sg.Ref(order={self.order!r}): choose 0, 1 or 2, the number of rates that are inputs as well"
-            )
+            raise SceneError(f"sg.Ref(order={self.order!r}): choose 0, 1 or 2, the number of rates that are inputs")
         _check_words(self.unit, self.text, "sg.Ref")
 
 

@@ -79,7 +79,7 @@ def measure(
 ) -> tuple[Precision, ...]:
     """Every step size with every method and scalar; runs that end early are left out."""
     loops = {scalar: ClosedLoop(scene, simulation, scalar) for scalar in scalars}
-    first = ClosedLoop(scene, simulation).run(duration=duration, step=duration)
+    first = next(iter(loops.values())).run(duration=duration, step=duration)
     end = tight_end(scene, simulation, duration, first)
     found = []
     for scalar, loop in loops.items():

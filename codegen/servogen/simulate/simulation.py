@@ -60,9 +60,8 @@ class Simulation:
             value, optional = getattr(self, name), name in ("sigma_min", "tau_max")
             number = isinstance(value, int | float | np.integer | np.floating) and np.isfinite(value)
             if not (number and value > 0) and not (value is None and optional):
-                raise SceneError(
-                    f"simulation: {name} = {value!r}; give a positive number{', or None' if optional else ''}"
-                )
+                remedy = "give a positive number" + (", or None" if optional else "")
+                raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:

@@ -281,7 +281,7 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
                 L = _root(np.eye(l) + np.tensordot(force, bends, 1))
                 L = L if np.all(np.isfinite(L)) else np.eye(l)
                 inner = np.linalg.solve(L, A.T).T
-                back = np.linalg.solve(L, start - now - A.T @ force)  # its part across phi = 0 has no effect
+                back = np.linalg.solve(L, start - now - A.T @ force)
             if not finite([inner, back]):
                 return Control(last, refusal(Status.OVERFLOW))
             move, info = textbook_solver.solve(inner, -phi, back, self._plan)

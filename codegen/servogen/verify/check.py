@@ -268,8 +268,8 @@ def _not_covered(case: _Case) -> list[str]:
     if projected is None:
         return []
     unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
-    words = f"{case.package.prefix}: project at {unknown} of {case.truth.drawn} states, where Newton's method leads to no nearest tau"
-    return [words] if unknown else []
+    of = f"{unknown} of {case.truth.drawn} states"
+    return [f"{case.package.prefix}: project at {of}, where Newton's method finds no nearest tau"] if unknown else []
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
