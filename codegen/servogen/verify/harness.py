@@ -372,7 +372,7 @@ def _complete(words: Mapping[str, str]) -> bool:
 def _output_result(words: Mapping[str, str], vectors: int, comparisons: int) -> OutputResult:
     """One `result` line, held against the numbers of vectors and comparisons there had to be."""
     numbers = {key: int(words[key]) for key in _COUNTS}
-    ulps, ratio = _floats(words["ulps"])[0], _floats(words["ratio"])[0]
+    ulps, ratio = floats_of(words["ulps"])[0], floats_of(words["ratio"])[0]
     remarks = [f"{numbers[key]} {text}" for key, text in _COUNTS.items() if text and numbers[key]]
     if numbers["outside"]:
         remarks.append(f"worst {ratio:.3g} times the tolerance at vector {numbers['worst']}[{numbers['element']}]")
@@ -418,7 +418,7 @@ _COUNTS = {
 }
 
 
-def _floats(text: str) -> NDArray[np.floating[Any]]:
+def floats_of(text: str) -> NDArray[np.floating[Any]]:
     """Floats from the hexadecimal of their bits, separated by commas; 8 digits are float32, 16 float64."""
     words = text.split(",")
     kind = {8: "4", 16: "8"}[len(words[0])]
@@ -430,7 +430,7 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
     rows: dict[tuple[str, str], list[tuple[int, NDArray[np.floating[Any]]]]] = {}
     for words in lines:
         if words[""] == "value" and "bits" in words:
-            values = _floats(words["bits"])
+            values = floats_of(words["bits"])
             status = int(words["status"])
             rows.setdefault((words["entry"], words["output"]), []).append(
                 (status, np.full_like(values, np.nan) if status < 0 else values)
