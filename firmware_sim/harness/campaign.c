@@ -123,6 +123,19 @@ static uint32_t changed(const real *value, uint32_t count)
     return found;
 }
 
+#ifdef SERVOGEN_DUMP
+static void show(const char *key, const real *value, uint32_t count)
+{
+    print_text(key);
+    for (uint32_t i = 0; i < count; ++i) {
+        real_bits bits;
+        memcpy(&bits, &value[i], sizeof bits);
+        print_text(i == 0 ? "" : ",");
+        print_hex(bits, REAL_HEX_DIGITS);
+    }
+}
+#endif
+
 static int run_entry(const campaign_table *table, const campaign_entry *entry)
 {
     static const harness_probe counter = {hal_count_start, hal_count_stop};
@@ -147,6 +160,15 @@ static int run_entry(const campaign_table *table, const campaign_entry *entry)
             worst = measured;
             at = k;
         }
+#ifdef SERVOGEN_DUMP
+        print_text("answer entry=");
+        print_text(entry->name);
+        print_count(" vector=", k);
+        print_number(" status=", status);
+        show(" state=", state, table->width);
+        show(" bits=", out, entry->size);
+        print_text("\n");
+#endif
         hash = fnv1a(hash, &status, sizeof status);
         if (status >= 0) {
             hash = hash_reals(hash, out, entry->size);
