@@ -1,7 +1,7 @@
 /* The closed loop of one scene on a target: every row as the hexadecimal of its bits, then why the run ended. */
 #include "hal.h"
 #include "print.h"
-#include SERVOGEN_LOOP_HEADER
+#include SERVOGEN_PROGRAM_HEADER
 
 static void show_reals(const real *values, int count)
 {

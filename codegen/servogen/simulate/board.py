@@ -14,6 +14,7 @@ from servogen.verify.harness import (
     build_images,
     complaint_of,
     execute,
+    firmware_sim,
     floats_of,
     require_target,
     words_of,
@@ -61,15 +62,15 @@ def run_on_board(
     )
     header = build_dir / "vectors" / f"{prefix}_setup.h"
     write_if_changed(header, text)
-    files = (sources.controller.path / f"{prefix}.c", *sources.sources)
+    files = (firmware_sim() / "simulate" / "main.c", sources.controller.path / f"{prefix}.c", *sources.sources)
     folders = (header.parent, sources.controller.path, *sources.include_folders)
     options = {
-        "LOOP": ";".join(f.resolve().as_posix() for f in files),
-        "LOOP_FOLDERS": ";".join(f.resolve().as_posix() for f in folders),
-        "LOOP_HEADER": header.name,
-        "LOOP_BITS": "64" if scalar == "float64" else "32",
+        "PROGRAM": ";".join(f.resolve().as_posix() for f in files),
+        "PROGRAM_FOLDERS": ";".join(f.resolve().as_posix() for f in folders),
+        "PROGRAM_HEADER": header.name,
+        "PROGRAM_BITS": "64" if scalar == "float64" else "32",
     }
-    command = build_images([], target, "gcc", build_dir, options)["loop"]
+    command = build_images([], target, "gcc", build_dir, options)["program"]
     code, log = execute(command, timeout=24 * 3600.0)
     lines = [words_of(line) for line in log.splitlines()]
     end = next((w for w in lines if w[""] == "stop"), None)
