@@ -19,16 +19,21 @@ def arguments(scene: Scene) -> list[tuple[str, Any]]:
     return [*fields, (PARAMETERS, ca.vertcat(ca.SX(0, 1), *(f.symbol for f in scene.parameters)))]
 
 
-def expressions(scene: Scene) -> dict[Output, Any]:
-    """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41)."""
-    S, z = _servo(scene) if scene.kind == "servo" else _controls(scene)
+def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
+    """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41).
+
+    The system is the matrix, row by row, then the right side. ldlt: Q is factorised once, as an expert would, and
+    solved with for the rows of psi_u; else `ca.solve` does what it does.
+    """
+    S, z = _servo(scene, ldlt) if scene.kind == "servo" else _controls(scene)
     inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
     else:
         y = scene.y_symbol if isinstance(scene.y, str) else scene.y
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
-    found = {Output.MATRIX: S, Output.RIGHT: z, Output.ANSWER: tau}
+    system = ca.vertcat(ca.vec(ca.densify(S).T), z)
+    found = {Output.MATRIX: S, Output.RIGHT: z, Output.SYSTEM: system, Output.ANSWER: tau}
     return {output: ca.densify(expression) for output, expression in found.items()}
 
 
@@ -44,7 +49,7 @@ def function(scene: Scene, name: str, expression: Any, cse: bool) -> Any:
     return ca.Function(name, [symbol for _, symbol in arguments(scene)], [result])
 
 
-def _servo(scene: Scene) -> tuple[Any, Any]:
+def _servo(scene: Scene, ldlt: bool) -> tuple[Any, Any]:
     mech = scene.mechanism
     J, X, prescribed = [], [], []
     for c in scene.constraints:
@@ -59,9 +64,11 @@ def _servo(scene: Scene) -> tuple[Any, Any]:
             X.append(psi_dot)
             prescribed.append(ca.mtimes(c.Theta, c.psi))
     psi_u = ca.vertcat(*J)
-    S = ca.mtimes(psi_u, ca.solve(mech.Q, mech.G))
-    z = -ca.mtimes(psi_u, ca.solve(mech.Q, mech.P)) - ca.vertcat(*X) + ca.vertcat(*prescribed)
-    return S, z
+    rest = ca.vertcat(*prescribed) - ca.vertcat(*X)
+    if ldlt:
+        W = ca.ldl_solve(psi_u.T, *ca.ldl(mech.Q)).T
+        return ca.mtimes(W, mech.G), rest - ca.mtimes(W, mech.P)
+    return ca.mtimes(psi_u, ca.solve(mech.Q, mech.G)), rest - ca.mtimes(psi_u, ca.solve(mech.Q, mech.P))
 
 
 def _controls(scene: Scene) -> tuple[Any, Any]:
