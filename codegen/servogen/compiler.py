@@ -45,18 +45,18 @@ def build(
     return write(render(module, casadi_abi), out, module, scene)
 
 
-def compile_scene(scene: Scene, target: Target) -> Module:
-    """Scene -> Module: every stage but printing and writing."""
-    formulation, program = optimised_scene(scene)
+def compile_scene(scene: Scene, target: Target, without: frozenset[str] = frozenset()) -> Module:
+    """Scene -> Module: every stage but printing and writing. without: passes of the optimiser to leave out."""
+    formulation, program = optimised_scene(scene, without)
     return plan(formulation, program, target)
 
 
 @lru_cache(maxsize=16)
-def optimised_scene(scene: Scene) -> tuple[Formulation, SceneProgram]:
+def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
     formulation = derive(scene)
     lowered, model = lower(formulation), lower_model(scene)
-    return formulation, optimise_formulation(formulation, lowered, model)
+    return formulation, optimise_formulation(formulation, lowered, model, without)
 
 
 def build_solver(

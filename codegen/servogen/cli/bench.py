@@ -1,11 +1,14 @@
 """servogen bench: run time against error, ours beside what one would otherwise use."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from servogen.bench.contenders import default_contenders
+from servogen.bench.peers.peers import Peers
 from servogen.bench.plot import draw
-from servogen.bench.results import Bench, Instructions, Measurement, Output
+from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
 from servogen.cli.console import (
     FAILED,
@@ -20,10 +23,12 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.loading import load_scene
+from servogen.loading import load_scene, scene_module
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
+
+BUILDS = ("contender", "operations of both", "bytes of code", "compile s")
 
 NOTES = (
     "ns      of a call: median, best and 99.9th percentile of batches; ratio to the baseline in the same rounds",
@@ -46,19 +51,41 @@ NOTES = (
 )
 @click.option("--compiler", help="C compiler; default $CC, else cc.")
 @click.option("--flags", default="-O2", show_default=True, help="Flags of the compiler, the same for all.")
+@click.option(
+    "--peers", is_flag=True,
+    help="Whole rivals, S and z at once and tau: adam, SymPy, Pinocchio; and ours less each pass.",
+)  # fmt: skip
 @json_option
 def bench_command(
-    scenes: tuple[str, ...], every: bool, folder: Path, rounds: int, compiler: str | None, flags: str, as_json: bool
+    scenes: tuple[str, ...],
+    every: bool,
+    folder: Path,
+    rounds: int,
+    compiler: str | None,
+    flags: str,
+    peers: bool,
+    as_json: bool,
 ) -> None:
     """Run time against error of SCENE's S, z and tau, for servogen and others in one run on the same states.
 
     Exit code 1 if code of ours hands out a NaN or an infinity without a word.
     """
-    loaded = [load_scene(spec) for spec in chosen(scenes, every)]
+    words = tuple(flags.split())
     results = []
-    for scene in loaded:
+    for spec in chosen(scenes, every):
+        scene = load_scene(spec)
+        rivals = Peers(scene_module(spec), words) if peers else None
         with progress(as_json) as advance:
-            result = bench(scene, rounds=rounds, compiler=compiler, flags=tuple(flags.split()), progress=advance)
+            result = bench(
+                scene,
+                rounds=rounds,
+                compiler=compiler,
+                flags=words,
+                contenders=rivals or default_contenders,
+                progress=advance,
+            )
+        if rivals:
+            result = replace(result, remarks=(*result.remarks, *rivals.remarks))
         results.append(result)
         paths = write(result, folder / result.scene)
         if not as_json:
@@ -100,6 +127,7 @@ def _show(result: Bench, paths: tuple[Path, ...]) -> None:
     )
     rows = [_row(m) for output in Output for m in result.measurements if m.output is output]
     table(title, HEADER, rows, right=range(2, len(HEADER)))
+    table("compiled by itself", BUILDS, [_built(b) for b in result.builds], right=range(1, len(BUILDS)))
     for note in NOTES:
         out.print(f"  {note}", markup=False, soft_wrap=True)
     for path in paths:
@@ -124,6 +152,10 @@ def _row(m: Measurement) -> tuple[object, ...]:
         edge.remarked,
         edge.states,
     )
+
+
+def _built(b: Built) -> tuple[object, ...]:
+    return b.contender, "" if b.operations is None else b.operations, f"{b.text}", f"{b.seconds:.2f}"
 
 
 def _instructions(counted: Instructions | None) -> tuple[str, str]:
