@@ -50,11 +50,7 @@ def optimise_formulation(
     out, by name.
     """
     scene, quantities, mass = formulation.scene, formulation.quantities, formulation.mass
-<<<<<<< HEAD:codegen/servogen/scene_program.py
-    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]))
-=======
-    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([formulation.constraint]), without)
->>>>>>> optimiser:codegen/servogen/optimise/for_scene.py
+    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]), without)
 
 
 def optimise_quantities(

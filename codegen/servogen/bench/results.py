@@ -8,14 +8,10 @@ from servogen.scalars import Scalar
 
 
 class Output(StrEnum):
-<<<<<<< HEAD
-    """What is timed and judged: the matrix, the right side, and the answer of the system.
+    """What is timed and judged: the matrix, the right side, the two at once, and the answer of the system.
 
     The matrix G of ideal control forces is the user's own: it is not judged.
     """
-=======
-    """What is timed and judged: the matrix, the right side, the two at once, and the answer of the system."""
->>>>>>> optimiser
 
     MATRIX = "matrix"
     RIGHT = "right"
@@ -24,14 +20,9 @@ class Output(StrEnum):
 
 
 LABELS: dict[str, dict[Output, str]] = {
-<<<<<<< HEAD
-    "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.ANSWER: "tau"},
-    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
-    "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.ANSWER: "tau'"},
-=======
     "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.SYSTEM: "S, z", Output.ANSWER: "tau"},
+    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
     "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.SYSTEM: "A, B", Output.ANSWER: "tau'"},
->>>>>>> optimiser
 }
 
 
