@@ -11,11 +11,11 @@ from servogen.render.render import environment
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.simulate.sources import LoopSources
+from servogen.tools import firmware_sim
 from servogen.verify.harness import (
     build_images,
     complaint_of,
     execute,
-    firmware_sim,
     floats_of,
     require_target,
     words_of,

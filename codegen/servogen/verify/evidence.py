@@ -28,7 +28,8 @@ from servogen.scalars import Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import find_tool
 from servogen.twins.compiled import CROSS_CHECK_FLAGS, CompiledSolver, stack_source
-from servogen.verify.stress import SolverTwin, stress
+from servogen.verify.stress import stress
+from servogen.verify.stress.bench import SolverTwin
 
 TIDY = "clang-analyzer-*,bugprone-*,cert-*,misc-*,portability-*,performance-*"
 NOT_TIDY = (
