@@ -1,12 +1,9 @@
-"""Fuzzing of the emitted solver: a few seconds of it, the inputs of former findings, and that it finds what is wrong."""
+"""Fuzzing of the emitted solver: seconds of it, and that it finds what is wrong."""
 
 import re
 
 import pytest
 from servogen.verify import fuzz
-
-FINDINGS: dict[fuzz.Target, tuple[str, ...]] = {}
-"""Inputs (hex) on which a target once failed."""
 
 
 @pytest.fixture(scope="module")
@@ -20,14 +17,8 @@ def test_seconds_of_fuzzing_find_nothing(clang):
     assert found.executions > 1000
 
 
-@pytest.mark.parametrize("target", FINDINGS, ids=str)
-def test_former_findings(clang, target):
-    done = fuzz.replay(clang, target, [bytes.fromhex(text) for text in FINDINGS[target]])
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_solver_that_writes_a_nan_is_found(clang, tmp_path, monkeypatch):
-    """The fuzzer proves that it can fail: a row's square root of the range test taken away."""
+    """The fuzzer proves that it can fail: the test for infinity made deaf."""
     import servogen.compiler as compiler
 
     genuine = compiler.build_solver

@@ -110,7 +110,7 @@ int planar_arm_3r_weighted_f32_pinv(const float *S, float *S_pinv, planar_arm_3r
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.
    S+ is that of the weight W = L L^T: W^-1 S^T (S W^-1 S^T)+ , computed as L^-T (S L^-T)+; info->sigma_min is of S L^-T.
-   Cost: 368 operations (197 mul, 107 add, 48 sub, 7 div, 3 cos, 3 sin, 3 sqrt), and the solver: 96 operations (normal equations), at most 468 (SVD, at most 5 sweeps).
+   Cost: 368 operations (197 mul, 107 add, 48 sub, 7 div, 3 cos, 3 sin, 3 sqrt), and the solver: 96 operations (normal equations), at most 493 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *tau, planar_arm_3r_weighted_f32_info *info);
 

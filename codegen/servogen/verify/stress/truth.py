@@ -49,9 +49,7 @@ def accuracy(
     yield figure(quantities[0], over(length(miss), bench.u * kappa * scale))
     yield figure(quantities[1], over(norm2(off), bench.u * kappa * pinv_size))
     if quantities[0] == TAU:
-        yield figure(
-            RESIDUAL, over(length(rest), bench.u * (size * length(tau.astype(np.float64)) + length(wide_z)))
-        )
+        yield figure(RESIDUAL, over(length(rest), bench.u * (size * length(tau.astype(np.float64)) + length(wide_z))))
         yield figure(PENROSE, penrose(S, X) / (bench.u * kappa))
 
 
