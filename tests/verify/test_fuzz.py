@@ -1,5 +1,6 @@
 """Fuzzing of the emitted solver: seconds of it, and that it finds what is wrong."""
 
+import platform
 import re
 
 import pytest
@@ -7,8 +8,9 @@ from servogen.verify import fuzz
 
 
 @pytest.fixture(scope="module")
-def clang(need_tool):
-    return need_tool("clang", "clang libclang-rt-dev")
+def clang(need_tool, need_library):
+    need_library("clang", f"libclang_rt.fuzzer-{platform.machine()}.a", "libclang-rt-dev")
+    return need_tool("clang", "clang")
 
 
 def test_seconds_of_fuzzing_find_nothing(clang):
