@@ -12,6 +12,8 @@ from servogen.bench.peers.peers import Peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
+from servogen.bench.solver.plot import draw as draw_precision
+from servogen.bench.solver.precision import SHAPES, Point, measure
 from servogen.cli.console import (
     FAILED,
     all_option,
@@ -27,6 +29,8 @@ from servogen.cli.console import (
     to_jsonable,
 )
 from servogen.loading import load_scene, scene_module
+from servogen.report.precision import render_precision
+from servogen.loading import load_scene
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
@@ -58,9 +62,7 @@ NOTES = (
     "--peers", is_flag=True,
     help="Whole rivals, S and z at once and tau: adam, SymPy, Pinocchio; and ours less each pass.",
 )  # fmt: skip
-@click.option(
-    "--solver", is_flag=True, help="The pseudo-inverse alone, over conditions from 1 to 1e14, in DIR/solver/."
-)
+@click.option("--solver", is_flag=True, help="The pseudo-inverse alone, at conditions 1 to 1e14, in DIR/solver/.")
 @click.option("--shape", "shapes", multiple=True, metavar="MxL", help="With --solver: only this one; may be repeated.")
 @json_option
 def bench_command(
@@ -110,10 +112,6 @@ def bench_command(
 
 def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bool) -> None:
     """The work-precision diagrams of the solver alone: solver.json, solver.html and the plots in `folder`."""
-    from servogen.bench.solver.plot import draw as draw_precision
-    from servogen.bench.solver.precision import SHAPES, measure
-    from servogen.report.precision import render_precision
-
     chosen_shapes = [_shape(text) for text in shapes] or SHAPES
     with progress(as_json) as advance:
         found = measure(chosen_shapes, rounds=rounds, progress=advance)
@@ -130,18 +128,15 @@ def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bo
             table(
                 f"{shape} {scalar}, kappa {kappa:g}: ns a solve, largest error",
                 ("contender", "median", "99.9 %", "worst", "/ (u kappa)", "relative"),
-                [
-                    (
-                        p.contender,
-                        *(f"{t:.0f}" for t in (p.median, p.p999, p.worst)),
-                        f"{p.error:.3g}",
-                        f"{p.relative:.2g}",
-                    )
-                    for p in found.facet(shape, scalar, kappa)
-                ],
+                [_point(p) for p in found.facet(shape, scalar, kappa)],
                 right=range(1, 6),
             )
     out.print(f"wrote {folder / 'solver.html'}, solver.json and the plots", markup=False, soft_wrap=True)
+
+
+def _point(p: Point) -> tuple[str, ...]:
+    times = (f"{t:.0f}" for t in (p.median, p.p999, p.worst))
+    return (p.contender, *times, f"{p.error:.3g}", f"{p.relative:.2g}")
 
 
 def _shape(text: str) -> tuple[int, int]:
