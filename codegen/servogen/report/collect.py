@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench
 from servogen.bench.run import bench
-from servogen.compiler import build
-from servogen.derive.derive import derive
+from servogen.compiler import build, optimised_scene
 from servogen.package import Package
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
@@ -80,10 +80,11 @@ def collect(
     rounds: int,
     skipped: Sequence[str],
     progress: Progress,
+    peers: bool = False,
 ) -> Report:
     """Run everything for scenes named as on the command line; their files go to folder/<scene>/.
 
-    board: a target to repeat the cross-check on, or None.
+    board: a target to repeat the cross-check on, or None. peers: bench against whole rivals.
     """
     loaded = [(spec, *load_simulation(spec)) for spec in specs]
     steps = 4 * len(loaded) + 2 + (board is not None)
@@ -94,7 +95,7 @@ def collect(
         progress(done, steps, text)
         done += 1
 
-    scenes = [_scene_report(spec, scene, simulation, folder, rounds, say) for spec, scene, simulation in loaded]
+    scenes = [_scene_report(spec, scene, simulation, folder, rounds, peers, say) for spec, scene, simulation in loaded]
     say("cross-check on this machine")
     host = check([scene for _, scene, _ in loaded], states=states)
     emulated = None
@@ -111,7 +112,13 @@ def collect(
 
 
 def _scene_report(
-    spec: str, scene: Scene, simulation: Simulation, folder: Path, rounds: int, say: Callable[[str], None]
+    spec: str,
+    scene: Scene,
+    simulation: Simulation,
+    folder: Path,
+    rounds: int,
+    peers: bool,
+    say: Callable[[str], None],
 ) -> SceneReport:
     own = folder / scene.name
     say(f"{scene.name}: generate")
@@ -124,13 +131,15 @@ def _scene_report(
     write_csv(trajectory, own / "trajectory.csv")
     pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
     say(f"{scene.name}: run time against error")
-    measured = bench(scene, rounds=rounds) if scene.kind != "ideal" else None
+    measured = None
+    if scene.kind != "ideal":
+        measured = bench_peers(spec, rounds=rounds) if peers else bench(scene, rounds=rounds)
     drawn = next(p for p in draw(measured, own) if p.suffix == ".svg") if measured else None
     say(f"{scene.name}: step size, method and scalar against error")
     duration = min(2.0, 0.5 * trajectory.stop.t)
     steps = [duration / n for n in (20, 40, 80, 160, 320, 640, 1280)]
     precision = draw_precision(scene.name, duration, measure(scene, simulation, duration, steps), own / "precision")
-    formulation = derive(scene)
+    formulation, _ = optimised_scene(scene)
     return SceneReport(
         name=scene.name,
         summary=builtin_summary(spec) if spec in builtin_names() else f"From {Path(spec).name}.",
