@@ -50,4 +50,4 @@ def test_the_sheets_are_drawn(runs: dict[str, Trajectory], tmp_path: Path) -> No
         assert number in drawn[0][1]
     for caption in (drawn[1][1], drawn[2][1]):  # the paper's own
         assert "I_1 = 10, I_2 = 6.3, I_3 = 8.5, a = 1" in caption
-        assert "u(0) = (0.1, 0.1, 0.1), tau(0) = (0.1, 0.1, -0.337647)" in caption
+        assert "u(0) = (0.1, 0.1, 0.1), tau(0) = (0.09998" in caption  # as printed, projected onto phi = 0

@@ -98,8 +98,8 @@ def _pendulum(runs: dict[str, Trajectory]) -> Sheet:
         ),
         "Figures 2 to 5, double pendulum (Section 4), Theta = -1 and E_0 = 0 as in the paper. It prints neither "
         f"masses, lengths nor the start; chosen: {_chosen(ideal)}; start {_start(ideal)}, and for the y that keeps "
-        f"it moving {_start(free)}. Figure 2 reproduces the decay of E as exp(-t); with y = 0 it holds until the mechanism "
-        "stops. Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time "
+        f"it moving {_start(free)}. Figure 2 reproduces the decay of E as exp(-t); with y = 0 it holds until the "
+        "mechanism stops. Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time "
         f"(t* = {ideal.stop.t:.2f} s, K/E below 1e-3) with potential energy left, and the torques do not vanish with E "
         "as the paper remarks, but grow as 1/sqrt(K): G tau = Theta E Q u / (2 K).",
     )
