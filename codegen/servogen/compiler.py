@@ -11,7 +11,6 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
-from servogen.optimise.for_scene import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
@@ -21,6 +20,7 @@ from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
+from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
 
 
 def build(
@@ -45,18 +45,18 @@ def build(
     return write(render(module, casadi_abi), out, module, scene)
 
 
-def compile_scene(scene: Scene, target: Target) -> Module:
-    """Scene -> Module: every stage but printing and writing."""
-    formulation, program = optimised_scene(scene)
+def compile_scene(scene: Scene, target: Target, without: frozenset[str] = frozenset()) -> Module:
+    """Scene -> Module: every stage but printing and writing. without: passes of the optimiser to leave out."""
+    formulation, program = optimised_scene(scene, without)
     return plan(formulation, program, target)
 
 
 @lru_cache(maxsize=16)
-def optimised_scene(scene: Scene) -> tuple[Formulation, SceneProgram]:
+def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
     formulation = derive(scene)
     lowered, model = lower(formulation), lower_model(scene)
-    return formulation, optimise_formulation(formulation, lowered, model)
+    return formulation, optimise_formulation(formulation, lowered, model, without)
 
 
 def build_solver(

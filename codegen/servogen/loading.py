@@ -30,6 +30,11 @@ def load_scene(spec: str) -> Scene:
     return _load(spec)[1]
 
 
+def scene_module(spec: str) -> ModuleType:
+    """The file in which the scene that `spec` names is written, as a module."""
+    return _load(spec)[0]
+
+
 def scene_folder(spec: str) -> Path:
     """The folder of the file in which the scene that `spec` names is written."""
     file = _load(spec)[0].__file__

@@ -20,10 +20,10 @@ from servogen.ir.rounding import entry_bounds
 from servogen.loading import builtin_names, load_scene
 from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
 from servogen.optimise.cost import OPERATION, Objective, tick_operations
-from servogen.optimise.for_scene import judging_states
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
 from servogen.scene.domain import draw_states
+from servogen.scene_program import judging_states
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
 

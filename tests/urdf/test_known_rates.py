@@ -1,13 +1,11 @@
 """Constraints on a robot's frames: geometric Jacobians and bias accelerations give what differentiation gives."""
 
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-import servogen.scenes
 from servogen.derive.known import cut
 from servogen.derive.servo import derive_servo
 from servogen.loading import load_scene
@@ -44,7 +42,7 @@ def draw(scene: sg.Scene, robot: sg.urdf.Robot, count: int = 3) -> list[dict[str
 
 @pytest.mark.parametrize("name", ["iiwa_position", "iiwa_pose"])
 def test_built_in_scenes(name: str) -> None:
-    scene = load_scene(str(Path(servogen.scenes.__file__).parent / "robots" / f"{name}.py"))
+    scene = load_scene(name)
     _, cuts = cut(scene, ca.vertcat(*(c.psi for c in scene.constraints)))  # type: ignore[union-attr]
     assert len(cuts) == scene.rows  # every row by its known rates
     robot = sg.urdf.load(IIWA, quiet=True)

@@ -34,6 +34,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
         y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
+        result[Output.SYSTEM].append([*S, *z])
         result[Output.ANSWER].append(
             _minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l)
         )

@@ -9,7 +9,6 @@ from servogen.derive.ideal import REACTION
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
-from servogen.optimise.for_scene import SceneProgram
 from servogen.plan.chunks import split
 from servogen.plan.known import plan_known
 from servogen.plan.mathematics import Math, pair_angles
@@ -30,6 +29,7 @@ from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field
+from servogen.scene_program import SceneProgram
 
 PROJECTION_CAP = 25
 """Iterations of project where phi is not affine in tau; Newton's method ends in far fewer or not at all."""

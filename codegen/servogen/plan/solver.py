@@ -390,7 +390,8 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
         rotation = _sum((3, _dot(stride)), (stride, _total(add=4, mul=4)), (1, _total(5, 12, 4, 4)))
         sweep = _sum((triangle, rotation))
         svd = _sum((plan.sweep_cap, sweep), (n, _dot(stride)), (n, _total(sqrt=2)), (n * stride, _total(div=1)))
-    vectors = _sum((n * n, _total(long, long)), (n, _total(mul=long, div=1)))
+    unit = _sum((1, _dot(long)), (1, _total(mul=long, div=2, sqrt=1)))
+    vectors = _sum((n * n + triangle, _total(long, long)), (triangle, _dot(long)), (n, unit))
     decompose = _sum((1, qr), (1, svd), (1, vectors))
     weigh = _sum(
         (m * n, _total(2 * m, 2 * m)), (n * n, _total(m, m)), (m * n, _total(n, n, 1)), (n, _total(div=1, sqrt=1))

@@ -1,19 +1,19 @@
-"""One hash of all outputs over all vectors, from every compiler, level and board: python -m servogen.verify.bits."""
+"""One hash of all answers, from every compiler, level and board: python -m servogen.verify.bits."""
 
 import argparse
-import hashlib
+import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from servogen.compiler import build
 from servogen.loading import builtin_names, load_scene
 from servogen.plan.mathematics import Math
-from servogen.scalars import EPSILON, Scalar
+from servogen.scalars import EPSILON
 from servogen.scene.scene import Scene
-from servogen.verify.harness import HarnessResult, default_states, run_harness, targets
-from servogen.verify.truth import Truth, states_to_check
+from servogen.verify.campaign import VECTORS, campaign_header, run_campaign
+from servogen.verify.harness import default_states, targets
 
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
 
@@ -36,54 +36,54 @@ def builds(boards: Iterable[str], levels: Sequence[str] = LEVELS) -> list[Build]
 
 
 def hashes(
-    scenes: Sequence[Scene], where: Sequence[Build], states: int, math: Math = "own", seed: int = 0
+    scenes: Sequence[Scene], where: Sequence[Build], vectors: int, math: Math = "own", jobs: int = 1
 ) -> dict[str, dict[Build, str]]:
-    """By prefix, then by build: a digest over the harness' hashes of every output; "failed: ..." where a run fails."""
-    scalars: tuple[Scalar, ...] = ("float64", "float32")
-    assert set(scalars) == set(EPSILON)
+    """By prefix, then by build: the campaign's hashes of every entry point; "failed: ..." where a run fails."""
     found: dict[str, dict[Build, str]] = {}
     with tempfile.TemporaryDirectory(prefix="servogen-bits-") as name:
         folder = Path(name)
-        packages = [build(s, folder / f"{s.name}-{x}", x, math=math) for s in scenes for x in scalars]
-        vectors = {}
-        for package in packages:
-            assert package.scene is not None
-            drawn = states_to_check(package.scene, states, seed)[0]
-            vectors[package.prefix] = Truth(package.scene, package.module, drawn, states).vector_set()
-        paths = [p.path for p in packages]
+        packages = [build(s, folder / f"{s.name}-{x}", x, math=math) for s in scenes for x in EPSILON]
+        headers = {
+            p.prefix: campaign_header(p.scene, p.prefix, p.module.target.scalar, p.manifest)
+            for p in packages
+            if p.scene is not None
+        }
         for number, one in enumerate(where):
-            options: dict[str, Any] = {"target": one.target, "compiler": one.compiler, "optimisation": one.level}
-            for result in run_harness(paths, vectors, build_dir=folder / f"build{number}", **options):
-                found.setdefault(result.prefix, {})[one] = digest(result)
+            for result in run_campaign(
+                packages,
+                headers,
+                target=one.target,
+                compiler=one.compiler,
+                optimisation=one.level,
+                vectors=vectors,
+                build_dir=folder / f"build{number}",
+                jobs=jobs,
+            ):
+                found.setdefault(result.prefix, {})[one] = result.hash
     return found
-
-
-def digest(result: HarnessResult) -> str:
-    """Of one run, 16 hexadecimal digits."""
-    if result.problems:
-        return f"failed: {result.problems[0]}"
-    text = " ".join(f"{o.entry} {o.output} {o.vectors} {o.hash}" for o in result.outputs)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def main() -> int:
     """Print the hashes; 0 if each package has but one."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--states", type=int, default=16)
+    parser.add_argument("--vectors", type=int, default=VECTORS, help="states, made on the target")
     parser.add_argument("--boards", nargs="*", default=[t for t in targets() if t != "host"])
     parser.add_argument("--scenes", nargs="*", default=list(builtin_names()))
     parser.add_argument("--math", choices=["own", "libm"], default="own")
     given = parser.parse_args()
-    scenes = [load_scene(s) for s in given.scenes]
+    where = builds(given.boards)
     good = True
-    for prefix, by_build in hashes(scenes, builds(given.boards), given.states, given.math).items():
-        different = set(by_build.values())
-        same = len(different) == 1 and not next(iter(different)).startswith("failed")
-        good &= same
-        print(f"{prefix}: {'one hash ' + next(iter(different)) if same else 'DIFFERENT'} from {len(by_build)} builds")
-        if not same:
-            for one, value in by_build.items():
-                print(f"    {one.target} {one.compiler} {one.level}: {value}")
+    for name in given.scenes:
+        found = hashes([load_scene(name)], where, given.vectors, given.math, os.cpu_count() or 1)
+        for prefix, by_build in found.items():
+            different = set(by_build.values())
+            same = len(different) == 1 and not next(iter(different)).startswith("failed")
+            good &= same
+            text = f"one hash {next(iter(different))}" if same else "DIFFERENT"
+            print(f"{prefix}: {text} from {len(by_build)} builds", flush=True)
+            if not same:
+                for one, value in by_build.items():
+                    print(f"    {one.target} {one.compiler} {one.level}: {value}")
     return 0 if good else 1
 
 

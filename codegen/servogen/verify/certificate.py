@@ -8,7 +8,7 @@ of the call graph.
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +115,7 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
     compiled = objects.compile_like(folder / "build", prefix, folder / "objects")
     nm, size, objdump = (objects.tool(t, compiled.program) for t in ("nm", "size", "objdump"))
     library = objects.library_graph(objdump, nm, result.image)
+    compiled = replace(compiled, graph=objects.redirect(compiled.graph, library))
     needs = objects.undefined(nm, compiled.object)
     problems = list(result.problems) + objects.wrong_symbols(needs, module.target.scalar, module.target.math == "own")
     names = [e.name for e in _entries(result)]

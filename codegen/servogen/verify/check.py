@@ -17,6 +17,7 @@ from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
+from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.truth import BAR, Truth, states_to_check
 from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
@@ -83,6 +84,19 @@ class Difference:
 
 
 @dataclass(frozen=True)
+class BackToBack:
+    """One package on host and board at states made on the target; `hash` is the host's, of all entry points."""
+
+    scene: str
+    scalar: str
+    target: str
+    vectors: int
+    hash: str
+    statuses: dict[str, int]
+    problem: str
+
+
+@dataclass(frozen=True)
 class CheckReport:
     """All figures of a check; `skipped` says what this machine lacks, with the command that installs it."""
 
@@ -91,6 +105,7 @@ class CheckReport:
     outputs: tuple[OutputCheck, ...]
     solves: tuple[SolveCheck, ...]
     differences: tuple[Difference, ...]
+    campaigns: tuple[BackToBack, ...]
     problems: tuple[str, ...]
     skipped: tuple[str, ...]
 
@@ -120,10 +135,12 @@ def check(
     states: int | None = None,
     seed: int = 0,
     progress: Progress = lambda done, total, text: None,
+    vectors: int = VECTORS,
 ) -> CheckReport:
     """Cross-check scenes in both scalars: on the host under gcc and clang, or on a board against the host.
 
-    states: drawn a scene; None: STATES, or fewer where the board is small.
+    states: drawn a scene; None: STATES, or fewer where the board is small. vectors: states made on a board itself, at
+    which its answers must be the host's bit for bit.
     Raises ToolMissing where the target has no compiler or emulator here.
     """
     states = default_states(target, STATES) if states is None else states
@@ -131,7 +148,8 @@ def check(
     if target != "host":
         require_target(target)
         compilers = compilers[:1]
-    steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + (target != "host"))
+    campaigns: list[BackToBack] = []
+    steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + 2 * (target != "host"))
     with tempfile.TemporaryDirectory(prefix="servogen-check-") as folder:
         cases = [_prepare(scene, scalar, Path(folder), states, seed, steps) for scene in scenes for scalar in EPSILON]
         runs = {}
@@ -141,6 +159,8 @@ def check(
         if target != "host":
             steps.next(f"running on {target}")
             runs[target] = _run(cases, target, "gcc", Path(folder) / target, dump=True)
+            steps.next(f"{vectors} states on {target} and on the host")
+            campaigns = _back_to_back(cases, target, vectors, Path(folder))
         references = [_reference_ulps(case) for case in cases]
         outputs = [
             _output_check(case, name, o, ulps)
@@ -156,6 +176,7 @@ def check(
     problems = [f"{r.prefix} ({name}): {p}" for name, results in runs.items() for r in results for p in r.problems]
     problems += [f"{case.package.prefix}: {p}" for case in cases for p in case.truth.problems]
     problems += [p for case, ulps in zip(cases, references, strict=True) for p in _formula_problems(case, ulps)]
+    problems += [f"{c.scene} {c.scalar} on {target}: {c.problem}" for c in campaigns if c.problem]
     skipped += [text for case in cases for text in _not_covered(case)]
     problems += [
         f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} u kappa (|tau| + |y|), the bar is {BAR:g}"
@@ -164,7 +185,14 @@ def check(
     ]
     boundary = tuple(dict.fromkeys(name for scene in scenes for name in states_to_check(scene, 0)[1]))
     return CheckReport(
-        states, boundary, tuple(outputs), tuple(solves), tuple(differences), tuple(problems), tuple(skipped)
+        states,
+        boundary,
+        tuple(outputs),
+        tuple(solves),
+        tuple(differences),
+        tuple(campaigns),
+        tuple(problems),
+        tuple(skipped),
     )
 
 
@@ -204,6 +232,31 @@ def _run(cases: list[_Case], target: str, compiler: Any, folder: Path, dump: boo
     vectors = {case.package.prefix: case.vectors for case in cases}
     packages = [case.package.path for case in cases]
     return run_harness(packages, vectors, target=target, compiler=compiler, build_dir=folder, dump=dump)
+
+
+def _back_to_back(cases: list[_Case], target: str, vectors: int, folder: Path) -> list[BackToBack]:
+    """The campaign on the host and on the board: one hash."""
+    packages = [case.package for case in cases]
+    headers = {
+        c.package.prefix: campaign_header(c.scene, c.package.prefix, c.scalar, c.package.manifest) for c in cases
+    }
+    here, there = (
+        run_campaign(packages, headers, target=t, vectors=vectors, build_dir=folder / f"campaign-{t}")
+        for t in ("host", target)
+    )
+    return [
+        BackToBack(
+            case.scene.name, case.scalar, target, vectors, a.hash, dict(a.entries[-1].statuses), _disagreement(a, b)
+        )
+        for case, a, b in zip(cases, here, there, strict=True)
+    ]
+
+
+def _disagreement(here: Campaign, there: Campaign) -> str:
+    if here.problem or there.problem:
+        return here.problem or there.problem
+    names = [a.entry for a, b in zip(here.entries, there.entries, strict=True) if a.hash != b.hash]
+    return f"{', '.join(names)}: other bits than on the host" if names else ""
 
 
 def _output_check(case: _Case, target: str, o: OutputResult, references: dict[str, float]) -> OutputCheck:

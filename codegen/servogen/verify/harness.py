@@ -178,16 +178,14 @@ def run_harness(
     build_dir = build_dir.resolve()
     say(f"{target}: writing vectors of {', '.join(manifests)}")
     for prefix in manifests:
-        _write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
-    say(f"{target}: configuring")
-    _configure(packages, _preset(target, compiler), build_dir, dump, optimisation, measure)
+        write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
     say(f"{target}: building {len(manifests)} images")
-    _run([find_tool("cmake", "cmake"), "--build", build_dir])
-    commands = _test_commands(build_dir)
+    given = {"DUMP": "ON" if dump else "OFF", "MEASURE": "ON" if measure else "OFF", "OPTIMISATION": optimisation}
+    commands = build_images(packages, target, compiler, build_dir, given)
 
     def check(prefix: str) -> HarnessResult:
         say(f"{target}: running {prefix}")
-        code, log = _execute(commands[f"check_{prefix}"], timeout)
+        code, log = execute(commands[f"check_{prefix}"], timeout)
         image = Path(commands[f"check_{prefix}"]["command"][-1])
         return read_log(vectors[prefix], target, _preset(target, compiler), code, log, image)
 
@@ -199,7 +197,7 @@ def read_log(
     vectors: VectorSet, target: str, preset: str, exit_code: int, log: str, image: Path = Path()
 ) -> HarnessResult:
     """What a run proves, from its exit code and the lines it printed; whatever is not proven is a problem."""
-    lines = [_words(line) for line in log.splitlines()]
+    lines = [words_of(line) for line in log.splitlines()]
     found = {(w["entry"], w["output"]): w for w in lines if w[""] == "result" and _complete(w)}
     head = next((w for w in lines if w[""] == "harness"), {})
     verdict = next((w for w in lines if w[""] == "verdict"), {})
@@ -221,7 +219,7 @@ def read_log(
                 problems.append(f"{entry.name}, {output.name}: {result.problem}")
     if not problems and (verdict.get("pass") != "1" or exit_code != 0):
         problems.append("the lines are good, the verdict is not")
-    if problems and (complaint := _complaint(log, exit_code)):
+    if problems and (complaint := complaint_of(log, exit_code)):
         problems.append(f"the run ended with exit code {exit_code}: {complaint}")
     return HarnessResult(
         vectors.prefix,
@@ -286,24 +284,24 @@ def _check_packages(
             )
 
 
-def _configure(
-    packages: list[Path], preset: str, build_dir: Path, dump: bool, optimisation: str, measure: bool
-) -> None:
-    _run(
-        [
-            find_tool("cmake", "cmake"),
-            "--preset",
-            preset,
-            "-B",
-            build_dir,
-            f"-DSERVOGEN_PACKAGES={';'.join(p.resolve().as_posix() for p in packages)}",
-            f"-DSERVOGEN_VECTORS={(build_dir / 'vectors').as_posix()}",
-            f"-DSERVOGEN_DUMP={'ON' if dump else 'OFF'}",
-            f"-DSERVOGEN_MEASURE={'ON' if measure else 'OFF'}",
-            f"-DSERVOGEN_OPTIMISATION={optimisation}",
-            f"-DCMAKE_MAKE_PROGRAM={find_tool('ninja', 'ninja-build').as_posix()}",
-        ],
-    )
+def build_images(
+    packages: list[Path], target: str, compiler: str, build_dir: Path, options: Mapping[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Configure and build what is in build_dir/vectors; by the test's name its command and environment.
+
+    options: of the CMake project, without their SERVOGEN_. Raises HarnessBuildError where CMake or a compiler refuses.
+    """
+    build_dir = build_dir.resolve()
+    settings = {
+        "PACKAGES": ";".join(p.resolve().as_posix() for p in packages),
+        "VECTORS": (build_dir / "vectors").as_posix(),
+        **options,
+    }
+    ninja = find_tool("ninja", "ninja-build").as_posix()
+    given = [*(f"-DSERVOGEN_{n}={v}" for n, v in settings.items()), f"-DCMAKE_MAKE_PROGRAM={ninja}"]
+    _run([find_tool("cmake", "cmake"), "--preset", _preset(target, compiler), "-B", build_dir, *given])
+    _run([find_tool("cmake", "cmake"), "--build", build_dir])
+    return _test_commands(build_dir)
 
 
 def _environment() -> dict[str, str]:
@@ -335,7 +333,7 @@ def _test_commands(build_dir: Path) -> dict[str, dict[str, Any]]:
     return tests
 
 
-def _execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
+def execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
     """Exit code and output of one check; a check that does not end counts as exit code -1."""
     try:
         done = subprocess.run(
@@ -352,7 +350,7 @@ def _execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
     return done.returncode, done.stdout.decode(errors="replace")
 
 
-def _words(line: str) -> dict[str, str]:
+def words_of(line: str) -> dict[str, str]:
     """A line of key=value words as a dict; the first word, which has no key, under ''."""
     first, *rest = line.split() or [""]
     return {"": first} | dict(word.split("=", 1) for word in rest if "=" in word)
@@ -365,7 +363,7 @@ def _complete(words: Mapping[str, str]) -> bool:
 def _output_result(words: Mapping[str, str], vectors: int, comparisons: int) -> OutputResult:
     """One `result` line, held against the numbers of vectors and comparisons there had to be."""
     numbers = {key: int(words[key]) for key in _COUNTS}
-    ulps, ratio = _floats(words["ulps"])[0], _floats(words["ratio"])[0]
+    ulps, ratio = floats_of(words["ulps"])[0], floats_of(words["ratio"])[0]
     remarks = [f"{numbers[key]} {text}" for key, text in _COUNTS.items() if text and numbers[key]]
     if numbers["outside"]:
         remarks.append(f"worst {ratio:.3g} times the tolerance at vector {numbers['worst']}[{numbers['element']}]")
@@ -411,7 +409,7 @@ _COUNTS = {
 }
 
 
-def _floats(text: str) -> NDArray[np.floating[Any]]:
+def floats_of(text: str) -> NDArray[np.floating[Any]]:
     """Floats from the hexadecimal of their bits, separated by commas; 8 digits are float32, 16 float64."""
     words = text.split(",")
     kind = {8: "4", 16: "8"}[len(words[0])]
@@ -423,7 +421,7 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
     rows: dict[tuple[str, str], list[tuple[int, NDArray[np.floating[Any]]]]] = {}
     for words in lines:
         if words[""] == "value" and "bits" in words:
-            values = _floats(words["bits"])
+            values = floats_of(words["bits"])
             status = int(words["status"])
             rows.setdefault((words["entry"], words["output"]), []).append(
                 (status, np.full_like(values, np.nan) if status < 0 else values)
@@ -440,7 +438,7 @@ def _costs(lines: list[dict[str, str]]) -> dict[str, Cost]:
     return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors", "stack"))) for w in found}
 
 
-def _complaint(log: str, exit_code: int) -> str:
+def complaint_of(log: str, exit_code: int) -> str:
     """A sanitizer's or the board's complaint, or the last line of a run that broke off; empty if it ended by itself."""
     lines = [line.strip() for line in log.splitlines() if line.strip() and not line.startswith("value ")]
     for line in lines:
@@ -451,7 +449,7 @@ def _complaint(log: str, exit_code: int) -> str:
     return lines[-1] if lines else "it printed nothing"
 
 
-def _write_if_changed(path: Path, text: str) -> None:
+def write_if_changed(path: Path, text: str) -> None:
     """So that an unchanged header leads to no compilation."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.is_file() or path.read_text() != text:

@@ -200,7 +200,7 @@ class _Array:
     def text(self) -> str:
         """The initialiser's lines."""
         flat = self.values.ravel().tolist()
-        words = [str(x) for x in flat] if self.ctype != "real" else [_literal(x, self.values.dtype.name) for x in flat]
+        words = [str(x) for x in flat] if self.ctype != "real" else [literal(x, self.values.dtype.name) for x in flat]
         lines = (words[i : i + _NUMBERS_PER_LINE] for i in range(0, len(words), _NUMBERS_PER_LINE))
         return ",\n".join("    " + ", ".join(line) for line in lines)
 
@@ -244,8 +244,8 @@ class _Pool:
         return self._known[key]
 
 
-def _literal(value: float, scalar: str) -> str:
-    """Exact in the scalar: hexadecimal."""
+def literal(value: float, scalar: str) -> str:
+    """A number as C writes it, exact in the scalar: hexadecimal."""
     if math.isnan(value):
         return "REAL_NAN"
     if math.isinf(value):
@@ -304,7 +304,7 @@ def _actuals(entry: EntryVectors, scalar: Scalar) -> list[str]:
     if not entry.uses_model:
         given = [f"hv_argument_{entry.name}_{n}" if n in entry.arguments else "NULL" for n in _ARGUMENTS[entry.call]]
         return given + results
-    step = [_literal(float(np.dtype(scalar).type(entry.dt)), scalar)] if entry.dt is not None else []
+    step = [literal(float(np.dtype(scalar).type(entry.dt)), scalar)] if entry.dt is not None else []
     return ["&hv_model", "&in", *step, *results]
 
 
@@ -322,7 +322,7 @@ def _output(entry: EntryVectors, j: int, scalar: Scalar, pool: _Pool) -> dict[st
     return {
         "name": output.name,
         "size": output.size,
-        "ulp": _literal(ulp(output.scale, scalar), scalar),
+        "ulp": literal(ulp(output.scale, scalar), scalar),
         "guarded": f"hv_guarded_{name}",
         "exact": f"hv_exact_{name}",
         **{part: pool.reals(f"hv_{name}_{part}", array) for part, array in arrays.items()},

@@ -18,7 +18,7 @@ import numpy as np
 import servogen as sg
 from servogen import exact
 from servogen.scalars import EPSILON, Scalar
-from servogen.verify.stress import with_spectrum
+from servogen.verify.stress.matrices import with_spectra
 
 HERE = Path(__file__).parent
 N = 64
@@ -34,7 +34,7 @@ def systems(m: int, l: int, scalar: Scalar, kappa: float, generator: Any) -> Any
         S = generator.standard_normal((N, m, l))
     else:
         sigma = kappa ** -np.linspace(0, 1, min(m, l))
-        S = np.array([with_spectrum(m, l, sigma, generator) for _ in range(N)])
+        S = with_spectra(m, l, np.array([sigma] * N), generator)
     z = np.einsum("nij,nj->ni", S, generator.standard_normal((N, l)))
     return S.astype(scalar), z.astype(scalar)
 

@@ -41,13 +41,16 @@ class SceneProgram:
     remarks: tuple[str, ...] = ()
 
 
-def optimise_formulation(formulation: Formulation, lowered: Program, model: Program) -> SceneProgram:
+def optimise_formulation(
+    formulation: Formulation, lowered: Program, model: Program, without: frozenset[str] = frozenset()
+) -> SceneProgram:
     """All quantities of a scene as one program; the constraint's value counts less than the system it leads to.
 
-    lowered: the formulation's quantities. model: the scene's Q, P and G as they are written.
+    lowered: the formulation's quantities. model: the scene's Q, P and G as they are written. without: passes to leave
+    out, by name.
     """
     scene, quantities, mass = formulation.scene, formulation.quantities, formulation.mass
-    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]))
+    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]), without)
 
 
 def optimise_quantities(
@@ -57,6 +60,7 @@ def optimise_quantities(
     lowered: Program,
     model: Program,
     minor: frozenset[str] = frozenset(),
+    without: frozenset[str] = frozenset(),
 ) -> SceneProgram:
     """Named quantities of a scene as one program; lowered, model as above, minor: outputs that count less."""
     exact, remarks = as_meant(lowered)
@@ -65,7 +69,7 @@ def optimise_quantities(
     if own is not None and needing == _free(number_values(exact), needing, own):
         exact = _without_late_pivots(exact)
     minor = (minor | {MASS_PIVOT, MASS_SCALE}) & {o.name for o in exact.outputs}
-    optimised = search(exact, judging_states(scene), minor)
+    optimised = search(exact, judging_states(scene), minor, without)
     free = frozenset() if own is None else frozenset(_free(optimised.program, needing, own))
     return SceneProgram(optimised.program, exact, optimised, free, remarks + optimised.refused)
 
