@@ -200,7 +200,7 @@ def _single(points: Sequence[Precision], duration: float) -> str:
     double, single = min(best["float64"]), min(best["float32"])
     return (
         f"At best, whatever the step, q and u are off by {double:.2g} in float64 and by {single:.2g} in float32 after "
-        f"{duration:.3g} s; float32 takes over where its curve turns up: smaller steps only add rounding."
+        f"{duration:.3g} s. Where the curve of float32 turns back, smaller steps only add rounding."
     )
 
 
