@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -27,10 +26,8 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.loading import load_scene, scene_module
+from servogen.loading import load_scene
 from servogen.report.precision import render_precision
-from servogen.loading import load_scene
-from servogen.loading import load_scene
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
