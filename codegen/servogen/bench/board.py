@@ -97,7 +97,7 @@ def trigonometry(scalar: Scalar, target: str = "cortex-m4", states: int = STATES
         calls[f"{name}|own sin and cos"] = f"(pair = own_sincos({x}), out[0] = pair.sin, out[1] = pair.cos)"
         calls[f"{name}|library sin"] = f"(*out = sin{f}({x}))"
         calls[f"{name}|library sin and cos"] = f"(out[0] = sin{f}({x}), out[1] = cos{f}({x}))"
-    declarations.append("static own_pair pair;")
+    declarations.append("own_pair pair;")
     header = _header(declarations, calls, 2, real, (values, np.zeros(1)), states, "(void)parameters;", real)
     return count_on_board({}, {}, header, scalar, target)
 
@@ -112,7 +112,7 @@ def sine_source(scalar: Scalar) -> str:
         "own_functions": ("sqrt", "reduce", "sin", "cos", "sincos"),
         "lit": None,
     }
-    return "#include <float.h>\n" + environment().get_template("solver/bits.c.j2").render(context)
+    return "#include <float.h>\n#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n" + environment().get_template("solver/bits.c.j2").render(context)
 
 
 def _header(
@@ -138,7 +138,7 @@ def _header(
             f"#define BENCH_STATES {states}u\n#define BENCH_CALLS {len(calls)}u",
             f"static const {kept} states[] = {{{rows}}};",
             f"static const {kept} parameters[] = {{{parameters or 0}}};",
-            f"static {real} out[{largest}];",
+            f"{real} out[{largest}]; /* others could read it: no store to it is dropped */",
             *declarations,
             f"static void bench_start(void)\n{{\n    {start}\n}}",
             bodies,
