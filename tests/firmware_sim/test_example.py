@@ -4,9 +4,9 @@ import os
 import subprocess
 
 import pytest
+from servogen.tools import find_tool, firmware_sim, tool_path
 from servogen.verify.generated import committed_folder
-from servogen.verify.harness import firmware_sim, targets
-from servogen.verify.tools import find_tool, tool_path
+from servogen.verify.harness import targets
 
 BOARDS = [name for name in targets() if name != "host"]
 PACKAGE = committed_folder() / "double_pendulum_energy" / "f32"

@@ -27,7 +27,6 @@ MEANT = {
     "sin(x - pi)": (ca.sin(x - math.pi), -ca.sin(x)),
     "eleven digits": (ca.sin(x + 1.57079632679), ca.cos(x)),
     "twice": (ca.sin((x + math.pi / 2) + (y + math.pi / 2)), -ca.sin(x + y)),
-    "noise of cos(pi/2)": (x * 6.123233995736766e-17 + y, y),
     "three quarters": (ca.cos(x - 4.71238898038469), -ca.sin(x)),
 }
 

@@ -11,19 +11,19 @@ import pytest
 import servogen as sg
 from hypothesis import given
 from hypothesis import strategies as st
-from servogen.compiler import compile_scene, target_for
-from servogen.derive.derive import derive
+from servogen.compiler import compile_scene, optimised_scene, target_for
 from servogen.derive.lower import parameter_defaults
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program, check_legal
-from servogen.optimise.accuracy import TOLERATED, Accuracy, entry_bounds, mix
+from servogen.ir.rounding import entry_bounds
+from servogen.loading import builtin_names, load_scene
+from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
 from servogen.optimise.cost import OPERATION, Objective, tick_operations
-from servogen.optimise.for_scene import judging_states, optimise_formulation
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
 from servogen.scene.domain import draw_states
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.scene_program import judging_states
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
 
@@ -101,9 +101,9 @@ def test_a_less_accurate_form_is_refused_and_said() -> None:
 def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
     for name in builtin_names():
         scene = load_scene(name)
-        done = optimise_formulation(derive(scene))
+        done = optimised_scene(scene)[1]
         states = judging_states(scene)
-        before, after = (np.max(entry_bounds(p, states), axis=1) for p in (done.exact, done.program))
+        before, after = (np.max(entry_bounds(p, states, "float64"), axis=1) for p in (done.exact, done.program))
         assert np.all(after <= TOLERATED * before * (1 + 1e-9))
 
 
@@ -111,7 +111,7 @@ def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
 def test_measured_errors_do_not_rise(name: str) -> None:
     """Float64 against 50 digits at states that no pass has seen: at most 1.5 times the unoptimised program's error."""
     scene = load_scene(name)
-    done = optimise_formulation(derive(scene))
+    done = optimised_scene(scene)[1]
     states = draw_states(scene, 400, seed=11) | parameter_defaults(scene)
     truth = list(evaluate_exactly(done.exact, states))
     before, after = evaluate(done.exact, states), evaluate(done.program, states)
@@ -139,8 +139,8 @@ def test_operations_of_the_built_in_scenes(name: str) -> None:
 
 def test_each_pass_is_worth_its_place() -> None:
     """What the search costs more without a pass, over scenes and a model of two links; it prints the table."""
-    formulations = [derive(load_scene("double_pendulum_energy")), derive(load_scene("spacecraft")), derive(two_links())]
-    cases = [(optimise_formulation(f).exact, judging_states(f.scene)) for f in formulations]
+    scenes = [load_scene("double_pendulum_energy"), load_scene("spacecraft"), two_links()]
+    cases = [(optimised_scene(scene)[1].exact, judging_states(scene)) for scene in scenes]
     operations: dict[str, list[int]] = {}
     semantic = frozenset(["value numbering", "Horner form", "resubstitution"])  # each finds equal values by itself
     without = {"nothing": frozenset[str](), "all that is semantic": semantic}
@@ -196,7 +196,7 @@ def test_an_indefinite_mass_matrix_keeps_its_guard() -> None:
 
 
 def test_a_solve_that_does_not_cancel_keeps_its_guard() -> None:
-    module = compile_scene(random_scene(1, "nonholonomic"), target_for("p", "float64", None))
+    module = compile_scene(two_links(), target_for("p", "float64", None))
     assert all(k.guards for k in module.kernels if k.name != "psi")
     assert any("inverse of Q" in line for line in module.skipped["S_z"])
 
@@ -204,7 +204,7 @@ def test_a_solve_that_does_not_cancel_keeps_its_guard() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_random_scenes_keep_their_meaning(seed: int) -> None:
     scene = random_scene(seed, ("nonholonomic", "mixed", "controls")[seed])
-    done = optimise_formulation(derive(scene))
+    done = optimised_scene(scene)[1]
     states = judging_states(scene)
     before, after = evaluate(done.exact, states), evaluate(done.program, states)
     for name in before:
@@ -214,7 +214,7 @@ def test_random_scenes_keep_their_meaning(seed: int) -> None:
 def test_the_same_program_whatever_the_hash_seed() -> None:
     code = (
         "from servogen.compiler import compile_scene, target_for\n"
-        "from servogen.scene.loading import load_scene\n"
+        "from servogen.loading import load_scene\n"
         "print(compile_scene(load_scene('spacecraft'), target_for('p', 'float64', None)))"
     )
     texts = {

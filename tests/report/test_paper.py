@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servogen.loading import load_simulation
 from servogen.report.paper import SCENES, draw_paper, sheets
-from servogen.scene.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 

@@ -1,16 +1,14 @@
 """Constraints on a robot's frames: geometric Jacobians and bias accelerations give what differentiation gives."""
 
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-import servogen.scenes
 from servogen.derive.known import cut
 from servogen.derive.servo import derive_servo
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from support.robots import A1, A1_FEET, IIWA, IIWA_TOOL, draw_state
 
 GAINS: dict[str, Any] = {"Theta1": -2.0, "Theta2": -3.0}
@@ -44,7 +42,7 @@ def draw(scene: sg.Scene, robot: sg.urdf.Robot, count: int = 3) -> list[dict[str
 
 @pytest.mark.parametrize("name", ["iiwa_position", "iiwa_pose"])
 def test_built_in_scenes(name: str) -> None:
-    scene = load_scene(str(Path(servogen.scenes.__file__).parent / "robots" / f"{name}.py"))
+    scene = load_scene(name)
     _, cuts = cut(scene, ca.vertcat(*(c.psi for c in scene.constraints)))  # type: ignore[union-attr]
     assert len(cuts) == scene.rows  # every row by its known rates
     robot = sg.urdf.load(IIWA, quiet=True)
@@ -80,6 +78,30 @@ def test_functions_of_known_quantities_mixed_with_others() -> None:
     speed = ca.vertcat(v[0] * r[1] + robot.u[2], v[4] * R[2, 2] - ca.cos(t))
     scene = sg.Scene("mixed", timed, [sg.Holonomic("place", psi, **GAINS), sg.Nonholonomic("speed", speed, Theta=-1.0)])
     compare(scene, draw(scene, robot))
+
+
+def test_friction_and_rotor_inertia_are_not_lost() -> None:
+    """The robot's own choice of accelerations holds for its own Q and P alone."""
+    robot = sg.urdf.load(IIWA, quiet=True)
+    mech = robot.mechanism
+    assert mech.gauge is not None
+    constraint = sg.Holonomic("place", robot.position(IIWA_TOOL), **GAINS)
+    for Q, P in ((mech.Q, mech.P - 0.3 * mech.u), (mech.Q + 0.1 * ca.SX.eye(7), mech.P)):
+        changed = sg.Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=P, G=mech.G, known=mech.known)
+        assert changed.gauge is None
+        scene = sg.Scene("changed", changed, [constraint])
+        compare(scene, draw(scene, robot))
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_accelerations_at_ease_obey_the_equations_of_motion(base: Any) -> None:
+    robot = sg.urdf.load(A1, base=base, quiet=True)
+    mech, gauge = robot.mechanism, robot.mechanism.gauge
+    assert gauge is not None
+    off = ca.Function("off", [mech.q, mech.u], [mech.P - mech.Q @ gauge.u_dot - gauge.force, mech.P])
+    q, u, _ = draw_state(robot, np.random.default_rng(4))
+    difference, P = off(q, u)
+    assert ca.norm_inf(difference) < 1e-12 * ca.norm_inf(P)
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.3])

@@ -20,7 +20,7 @@ def test_operations_of_the_iiwa() -> None:
     psi = robot.position(IIWA_TOOL) - ref.r
     scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
     tick = stage(optimise(lower(derive_servo(scene)))).tick
-    assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1115
+    assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1090
 
 
 def test_a_rotor_costs_no_sine() -> None:

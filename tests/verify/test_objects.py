@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.verify import objects
 from servogen.verify.budget import accept, exceeded, read
 from servogen.verify.certificate import Certificate, EntryCost

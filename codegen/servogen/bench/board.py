@@ -17,16 +17,16 @@ import numpy as np
 
 from servogen.bench import user
 from servogen.bench.contenders import casadi_c, servogen_c
-from servogen.bench.inputs import Inputs, drawn
-from servogen.bench.results import LABELS, Output
+from servogen.bench.inputs import drawn
+from servogen.bench.results import LABELS
+from servogen.loading import load_scene
 from servogen.plan.solver import BITS
 from servogen.render.mathematics import NEAR, math_context
 from servogen.render.render import environment
-from servogen.scene.loading import load_scene
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
-from servogen.verify.harness import build_images, execute, firmware_sim, require_target, words_of, write_if_changed
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing, firmware_sim
+from servogen.verify.harness import build_images, execute, require_target, words_of, write_if_changed
 from servogen.verify.vectors import literal
 
 STATES = 64
@@ -50,7 +50,9 @@ def against_casadi(scene: Scene, target: str = "cortex-m4", states: int = STATES
     theirs = casadi_c(scene, inputs, states, AS_EMITTED, cse=True, scalar="float32")
     mended = {f.name.replace(theirs.identifier, "mended"): mend(f.text, theirs.identifier) for f in theirs.files}
     outputs = user.expressions(scene)
-    declarations = [ours.declarations.replace("static void load(", "static void load_ours(").replace("abort()", "hal_exit(1)")]
+    declarations = [
+        ours.declarations.replace("static void load(", "static void load_ours(").replace("abort()", "hal_exit(1)")
+    ]
     declarations.append(theirs.declarations.replace("static void load(", "static void load_theirs("))
     declarations += [
         theirs.declarations[theirs.declarations.index("\nint ") :]
@@ -129,7 +131,8 @@ def _header(
     scalar: Scalar = "float32" if kept == "float" else "float64"
     rows, parameters = (", ".join(literal(float(np.dtype(scalar).type(x)), scalar) for x in v) for v in values)
     bodies = "\n".join(
-        f"static void call_{n}(uint32_t k)\n{{\n    (void){expression};\n}}" for n, expression in enumerate(calls.values())
+        f"static void call_{n}(uint32_t k)\n{{\n    (void){expression};\n}}"
+        for n, expression in enumerate(calls.values())
     )
     names = ",\n".join(f'    {{"{name.replace(" ", "_")}", call_{n}}}' for n, name in enumerate(calls))
     return "\n".join(
@@ -173,9 +176,7 @@ def count_on_board(
     if code != 0:
         raise RuntimeError(f"the image broke off on {target}: {log[-400:]}")
     lines = [words_of(line) for line in log.splitlines()]
-    return {
-        w["call"].replace("_", " "): Count(int(w["mean"]), int(w["worst"])) for w in lines if w[""] == "count"
-    }
+    return {w["call"].replace("_", " "): Count(int(w["mean"]), int(w["worst"])) for w in lines if w[""] == "count"}
 
 
 def on_this_machine(scalar: Scalar, states: int = STATES) -> dict[str, float]:
@@ -210,7 +211,18 @@ int main(int argc, char **argv)
     with tempfile.TemporaryDirectory(prefix="servogen-trig-") as name:
         source, program = Path(name) / "trig.c", Path(name) / "trig"
         source.write_text(text)
-        compile_ = ["gcc", "-O2", "-march=haswell", "-ffp-contract=off", "-std=gnu99", "-w", source, "-o", program, "-lm"]
+        compile_ = [
+            "gcc",
+            "-O2",
+            "-march=haswell",
+            "-ffp-contract=off",
+            "-std=gnu99",
+            "-w",
+            source,
+            "-o",
+            program,
+            "-lm",
+        ]
         subprocess.run(compile_, check=True)
         for n in range(len(functions)):
             command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={name}/out", program, str(n)]
@@ -234,7 +246,10 @@ def main() -> int:
             ours, emitted, mended = (counts[who].mean for who in ("servogen", AS_EMITTED, MENDED))
             good &= emitted >= 8 * ours and mended >= 1.5 * ours
             ratios = f"{emitted / ours:.1f} and {mended / ours:.2f} times ours"
-            print(f"{scene.name} {label} on {given.target}: {ours}; CasADi {emitted}, mended {mended}: {ratios}", flush=True)
+            print(
+                f"{scene.name} {label} on {given.target}: {ours}; CasADi {emitted}, mended {mended}: {ratios}",
+                flush=True,
+            )
     for scalar in EPSILON:
         for call, count in trigonometry(scalar, given.target).items():
             print(f"{scalar} on {given.target}, {call.replace('|', ': ')}: mean {count.mean}, worst {count.worst}")

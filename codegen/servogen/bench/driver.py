@@ -7,18 +7,19 @@ and output) after the other, its outputs state by state and then its statuses. T
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.bench.contenders import CContender
 from servogen.bench.inputs import Inputs
-from servogen.bench.results import Output
+from servogen.bench.results import Built, Output
+from servogen.render.render import environment
 from servogen.results import FloatArray
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,29 @@ def compile_driver(
     tasks = tuple(Task(c, output, sizes[output]) for c in contenders for output in c.calls)
     sources = _write(contenders, tasks, sizes, inputs, capacity, folder)
     executable = folder / "bench"
-    argv = [*compiler.split(), *flags, f"-I{folder}", *map(str, sources), "-o", str(executable), "-lm"]
+    libraries = [word for c in contenders for word in c.libraries]
+    argv = [*compiler.split(), *flags, f"-I{folder}", *map(str, sources), "-o", str(executable), *libraries, "-lm"]
     run = subprocess.run(argv, capture_output=True, text=True)
     if run.returncode != 0:
         raise RuntimeError(f"{compiler} refused the bench driver:\n{run.stderr}")
     return Driver(executable, folder, tasks)
+
+
+def built(contender: CContender, folder: Path, compiler: str, flags: Sequence[str]) -> Built:
+    """A contender's own files compiled by themselves, in the folder where compile_driver has left them."""
+    seconds, objects = 0.0, [Path(word) for word in contender.libraries if word.endswith(".o")]
+    for file in (f.name for f in contender.files if f.name.endswith(".c")):
+        target = folder / f"{file}.o"
+        start = time.perf_counter()
+        argv = [*compiler.split(), *flags, f"-I{folder}", "-c", str(folder / file), "-o", str(target)]
+        subprocess.run(argv, check=True, capture_output=True)
+        seconds += time.perf_counter() - start
+        objects.append(target)
+    text = 0
+    for compiled in objects:
+        sizes = subprocess.run(["size", str(compiled)], check=True, capture_output=True, text=True)
+        text += int(sizes.stdout.splitlines()[1].split()[0])
+    return Built(contender.name, seconds, text, contender.operations)
 
 
 def _write(
@@ -112,14 +131,7 @@ def _write(
     folder: Path,
 ) -> list[Path]:
     """All files; returned are the C sources."""
-    templates = Environment(
-        loader=PackageLoader("servogen.bench", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # C, not HTML
-    )
+    templates = environment("bench")
     texts = {f.name: f.text for c in contenders for f in c.files}
     for c in contenders:
         loop = templates.get_template("loop.c.j2").render(

@@ -83,6 +83,7 @@ def _title(bench: Bench, output: Output) -> str:
     words = {
         Output.MATRIX: "the constraints' matrix",
         Output.RIGHT: "the right side",
+        Output.SYSTEM: "matrix and right side at once",
         Output.ANSWER: "the answer, with everything before it",
     }
     return f"{LABELS[bench.kind][output]}: {words[output]}"

@@ -4,20 +4,25 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 
 
 class Output(StrEnum):
-    """What is timed and judged: the matrix, the right side, and the answer of the system."""
+    """What is timed and judged: the matrix, the right side, the two at once, and the answer of the system.
+
+    The matrix G of ideal control forces is the user's own: it is not judged.
+    """
 
     MATRIX = "matrix"
     RIGHT = "right"
+    SYSTEM = "system"
     ANSWER = "answer"
 
 
 LABELS: dict[str, dict[Output, str]] = {
-    "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.ANSWER: "tau"},
-    "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.ANSWER: "tau'"},
+    "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.SYSTEM: "S, z", Output.ANSWER: "tau"},
+    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
+    "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.SYSTEM: "A, B", Output.ANSWER: "tau'"},
 }
 
 
@@ -115,6 +120,19 @@ class Measurement:
 
 
 @dataclass(frozen=True)
+class Built:
+    """One contender's code as compiled: seconds the compiler took for its file, bytes of instructions and constants.
+
+    operations: of the matrix and the right side at once, counted as in the manifest; None where nobody can count.
+    """
+
+    contender: str
+    seconds: float
+    text: int
+    operations: int | None
+
+
+@dataclass(frozen=True)
 class Bench:
     """One scene's measurements, all in one run on the same states.
 
@@ -133,6 +151,7 @@ class Bench:
     baseline: str
     measurements: tuple[Measurement, ...]
     remarks: tuple[str, ...]
+    builds: tuple[Built, ...] = ()
 
     def of(self, contender: str, output: Output) -> Measurement:
         """The measurement of that contender and output. KeyError where there is none."""

@@ -15,12 +15,11 @@ from servogen.bench.contenders import (
     default_contenders,
     output_sizes,
 )
-from servogen.bench.driver import Driver, compile_driver, compiler_version, default_compiler
+from servogen.bench.driver import Driver, built, compile_driver, compiler_version, default_compiler
 from servogen.bench.error import count_answers, judge, truth
 from servogen.bench.inputs import Inputs, at_the_boundary, drawn
 from servogen.bench.results import LABELS, Bench, Instructions, Measurement
 from servogen.bench.timing import BATCH, Key, sample, summarise
-from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 
@@ -40,16 +39,16 @@ def bench(
     compiler: str | None = None,
     flags: Sequence[str] = ("-O2",),
     contenders: Choose = default_contenders,
+    baseline: str = BASELINE,
     count_instructions: bool = True,
     progress: Progress = lambda done, total, text: None,
 ) -> Bench:
     """Run time against error of the scene's matrix, right side and answer, all contenders in one run.
 
     states: drawn from the scene's domain by `seed`, the same for all. compiler: default $CC, else cc.
-    contenders: (scene, inputs, capacity) -> who is measured. Raises ToolMissing without a C compiler.
+    contenders: (scene, inputs, capacity) -> who is measured; baseline: of the ratios.
+    Raises ToolMissing without a C compiler.
     """
-    if scene.kind == "ideal":
-        raise SceneError(f"scene {scene.name!r}: ideal control forces have no rivals to measure against yet")
     command = compiler or default_compiler()
     version = compiler_version(command)
     names, edge = at_the_boundary(scene)
@@ -65,6 +64,7 @@ def bench(
     with TemporaryDirectory(prefix="servogen-bench-") as folder:
         steps.say(f"{scene.name}: compile")
         driver = compile_driver(in_c, output_sizes(scene), inputs, capacity, Path(folder), command, flags)
+        builds = tuple(built(c, Path(folder), command, flags) for c in in_c)
         steps.expect(len(driver.tasks) if count else 0)
         steps.say(f"{scene.name}: evaluate")
         answers = _answers(driver, in_python, inputs, scene)
@@ -76,7 +76,7 @@ def bench(
         for k, task in enumerate(driver.tasks if count else ()):
             steps.say(f"{scene.name}: instructions of {task.contender.name}")
             counts[task.contender.name, task.output] = instructions.count(driver, inputs, k)
-    times = summarise(samples, BASELINE)
+    times = summarise(samples, baseline)
     measurements = [
         Measurement(
             contender=c.name,
@@ -101,9 +101,10 @@ def bench(
         batch=min(BATCH, states),
         rounds=rounds,
         seed=seed,
-        baseline=BASELINE,
+        baseline=baseline,
         measurements=tuple(measurements),
         remarks=(instructions.MISSING,) if count_instructions and not count else (),
+        builds=builds,
     )
 
 

@@ -1,16 +1,22 @@
 """servogen bench: run time against error, ours beside what one would otherwise use."""
 
+import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from servogen.bench.contenders import default_contenders
+from servogen.bench.peers.peers import Peers
 from servogen.bench.plot import draw
-from servogen.bench.results import Bench, Instructions, Measurement, Output
+from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
 from servogen.cli.console import (
     FAILED,
     all_option,
     chosen,
+    complain,
     emit_json,
     err,
     json_option,
@@ -20,10 +26,12 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene, scene_module
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
+
+BUILDS = ("contender", "operations of both", "bytes of code", "compile s")
 
 NOTES = (
     "ns      of a call: median, best and 99.9th percentile of batches; ratio to the baseline in the same rounds",
@@ -46,19 +54,50 @@ NOTES = (
 )
 @click.option("--compiler", help="C compiler; default $CC, else cc.")
 @click.option("--flags", default="-O2", show_default=True, help="Flags of the compiler, the same for all.")
+@click.option(
+    "--peers", is_flag=True,
+    help="Whole rivals, S and z at once and tau: adam, SymPy, Pinocchio; and ours less each pass.",
+)  # fmt: skip
+@click.option(
+    "--solver", is_flag=True, help="The pseudo-inverse alone, over conditions from 1 to 1e14, in DIR/solver/."
+)
+@click.option("--shape", "shapes", multiple=True, metavar="MxL", help="With --solver: only this one; may be repeated.")
 @json_option
 def bench_command(
-    scenes: tuple[str, ...], every: bool, folder: Path, rounds: int, compiler: str | None, flags: str, as_json: bool
+    scenes: tuple[str, ...],
+    every: bool,
+    folder: Path,
+    rounds: int,
+    compiler: str | None,
+    flags: str,
+    peers: bool,
+    solver: bool,
+    shapes: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Run time against error of SCENE's S, z and tau, for servogen and others in one run on the same states.
 
     Exit code 1 if code of ours hands out a NaN or an infinity without a word.
     """
-    loaded = [load_scene(spec) for spec in chosen(scenes, every)]
+    if solver:
+        bench_solver(folder / "solver", shapes, rounds, as_json)
+        return
+    words = tuple(flags.split())
     results = []
-    for scene in loaded:
+    for spec in chosen(scenes, every):
+        scene = load_scene(spec)
+        rivals = Peers(scene_module(spec), words) if peers else None
         with progress(as_json) as advance:
-            result = bench(scene, rounds=rounds, compiler=compiler, flags=tuple(flags.split()), progress=advance)
+            result = bench(
+                scene,
+                rounds=rounds,
+                compiler=compiler,
+                flags=words,
+                contenders=rivals or default_contenders,
+                progress=advance,
+            )
+        if rivals:
+            result = replace(result, remarks=(*result.remarks, *rivals.remarks))
         results.append(result)
         paths = write(result, folder / result.scene)
         if not as_json:
@@ -67,6 +106,49 @@ def bench_command(
         emit_json([document(result) for result in results])
     if any(_silent(m) for result in results for m in result.measurements if m.ours):
         raise click.exceptions.Exit(FAILED)
+
+
+def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bool) -> None:
+    """The work-precision diagrams of the solver alone: solver.json, solver.html and the plots in `folder`."""
+    from servogen.bench.solver.plot import draw as draw_precision
+    from servogen.bench.solver.precision import SHAPES, measure
+    from servogen.report.precision import render_precision
+
+    chosen_shapes = [_shape(text) for text in shapes] or SHAPES
+    with progress(as_json) as advance:
+        found = measure(chosen_shapes, rounds=rounds, progress=advance)
+    figures = draw_precision(found, folder)
+    (folder / "solver.json").write_text(json.dumps(to_jsonable(found), indent=1) + "\n")
+    (folder / "solver.html").write_text(render_precision(found, figures), encoding="utf-8")
+    for text in found.missing:
+        complain("MISSING RIVAL", text)
+    if as_json:
+        emit_json(found)
+        return
+    for shape, scalar in figures:
+        for kappa in (1.0, 1e8 if scalar == "float64" else 1e4):
+            table(
+                f"{shape} {scalar}, kappa {kappa:g}: ns a solve, largest error",
+                ("contender", "median", "99.9 %", "worst", "/ (u kappa)", "relative"),
+                [
+                    (
+                        p.contender,
+                        *(f"{t:.0f}" for t in (p.median, p.p999, p.worst)),
+                        f"{p.error:.3g}",
+                        f"{p.relative:.2g}",
+                    )
+                    for p in found.facet(shape, scalar, kappa)
+                ],
+                right=range(1, 6),
+            )
+    out.print(f"wrote {folder / 'solver.html'}, solver.json and the plots", markup=False, soft_wrap=True)
+
+
+def _shape(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)x(\d+)", text)
+    if found is None or not all(1 < int(n) <= 12 for n in found.groups()):
+        raise click.BadParameter(f"{text!r}: give rows and columns from 2 to 12, like 3x7", param_hint="--shape")
+    return int(found[1]), int(found[2])
 
 
 def document(result: Bench) -> dict[str, object]:
@@ -81,8 +163,6 @@ def document(result: Bench) -> dict[str, object]:
 
 def write(result: Bench, folder: Path) -> tuple[Path, ...]:
     """results.json, bench.svg and bench.png in `folder`, made if need be."""
-    import json
-
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.json"
     path.write_text(json.dumps(document(result), indent=2) + "\n")
@@ -100,6 +180,7 @@ def _show(result: Bench, paths: tuple[Path, ...]) -> None:
     )
     rows = [_row(m) for output in Output for m in result.measurements if m.output is output]
     table(title, HEADER, rows, right=range(2, len(HEADER)))
+    table("compiled by itself", BUILDS, [_built(b) for b in result.builds], right=range(1, len(BUILDS)))
     for note in NOTES:
         out.print(f"  {note}", markup=False, soft_wrap=True)
     for path in paths:
@@ -124,6 +205,10 @@ def _row(m: Measurement) -> tuple[object, ...]:
         edge.remarked,
         edge.states,
     )
+
+
+def _built(b: Built) -> tuple[object, ...]:
+    return b.contender, "" if b.operations is None else b.operations, f"{b.text}", f"{b.seconds:.2f}"
 
 
 def _instructions(counted: Instructions | None) -> tuple[str, str]:

@@ -21,8 +21,8 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
+from servogen.loading import load_scene, scene_folder
 from servogen.report.certificates import render_certificates
-from servogen.scene.loading import load_scene, scene_folder
 from servogen.verify import budget
 from servogen.verify.certificate import Certificate, certify
 from servogen.verify.harness import require_target, targets

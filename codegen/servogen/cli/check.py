@@ -18,7 +18,7 @@ from servogen.cli.console import (
     scenes_argument,
     table,
 )
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.verify.campaign import VECTORS
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets

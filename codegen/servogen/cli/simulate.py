@@ -10,9 +10,9 @@ import numpy as np
 from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
 from servogen.cli.generate import scalar_option
 from servogen.errors import SceneError
+from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
-from servogen.scene.loading import load_simulation
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import METHOD_NAMES, write_plots

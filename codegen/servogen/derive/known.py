@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.rates import moving_symbols, rate
-from servogen.scene.known import Known
+from servogen.scene.known import Gauge, Known
 from servogen.scene.scene import Scene
 
 
@@ -20,21 +20,24 @@ class Cut:
     row: int
     is_rate: bool
 
-    @property
-    def derivative(self) -> Any:
-        """Of the scalar, at u' = 0."""
-        return (self.known.acceleration if self.is_rate else self.known.rate)[self.row]
+    def acceleration(self, gauge: Gauge | None) -> Any:
+        """p'' at u' = 0, or at the gauge's u'."""
+        return (self.known.acceleration if gauge is None else self.known.at_gauge)[self.row]
+
+    def derivative(self, gauge: Gauge | None) -> Any:
+        """Of the scalar, at u' = 0 or the gauge's u'."""
+        return self.acceleration(gauge) if self.is_rate else self.known.rate[self.row]
 
 
-def holonomic_rates(scene: Scene, psi: Any, what: str) -> tuple[Any, Any, Any]:
-    """psi', its Jacobian with respect to u, and psi'' at u' = 0, of a psi(q, t): Eqs. (11)-(12)."""
+def holonomic_rates(scene: Scene, psi: Any, what: str, gauge: Gauge | None = None) -> tuple[Any, Any, Any]:
+    """psi', its Jacobian with respect to u, and psi'' at u' = 0 or the gauge's u', of a psi(q, t): Eqs. (11)-(12)."""
     shell, cuts = cut(scene, psi)
     speeds = [ca.SX.sym("p_dot") for _ in cuts]
     moving = [(c.symbol, speed) for c, speed in zip(cuts, speeds, strict=True)]
     psi_dot = rate(scene, shell, what, along=moving)
-    accelerations = [c.known.acceleration[c.row] for c in cuts]
-    X = rate(scene, psi_dot, what, along=[*moving, *zip(speeds, accelerations, strict=True)])
-    values = [c.node for c in cuts] + [c.derivative for c in cuts]
+    accelerations = [c.acceleration(gauge) for c in cuts]
+    X = rate(scene, psi_dot, what, _u_dot(gauge), along=[*moving, *zip(speeds, accelerations, strict=True)])
+    values = [c.node for c in cuts] + [c.derivative(gauge) for c in cuts]
     symbols = [c.symbol for c in cuts] + speeds
 
     def filled(expression: Any) -> Any:
@@ -44,10 +47,10 @@ def holonomic_rates(scene: Scene, psi: Any, what: str) -> tuple[Any, Any, Any]:
     return filled(psi_dot), filled(J) + _through(filled, psi_dot, speeds, cuts), filled(X)
 
 
-def nonholonomic_rates(scene: Scene, psi: Any, what: str) -> tuple[Any, Any]:
-    """The Jacobian of a psi(q, u, t) with respect to u, and psi' at u' = 0: Eqs. (4)-(6)."""
+def nonholonomic_rates(scene: Scene, psi: Any, what: str, gauge: Gauge | None = None) -> tuple[Any, Any]:
+    """The Jacobian of a psi(q, u, t) with respect to u, and psi' at u' = 0 or the gauge's u': Eqs. (4)-(6)."""
     shell, cuts = cut(scene, psi)
-    X = rate(scene, shell, what, along=[(c.symbol, c.derivative) for c in cuts])
+    X = rate(scene, shell, what, _u_dot(gauge), along=[(c.symbol, c.derivative(gauge)) for c in cuts])
     symbols, values = [c.symbol for c in cuts], [c.node for c in cuts]
 
     def filled(expression: Any) -> Any:
@@ -56,6 +59,10 @@ def nonholonomic_rates(scene: Scene, psi: Any, what: str) -> tuple[Any, Any]:
     speeds = [c for c in cuts if c.is_rate]
     J = filled(ca.jacobian(shell, scene.mechanism.u))
     return J + _through(filled, shell, [c.symbol for c in speeds], speeds), filled(X)
+
+
+def _u_dot(gauge: Gauge | None) -> Any:
+    return None if gauge is None else gauge.u_dot
 
 
 def cut(scene: Scene, expression: Any) -> tuple[Any, list[Cut]]:

@@ -26,17 +26,21 @@ def lower_quantities(scene: Scene, quantities: Sequence[Quantity], mass: MassTre
     return lower_expressions(scene.name, scene_inputs(scene), outputs)
 
 
+def lower_model(scene: Scene) -> Program:
+    """Q, P and G as the scene writes them, before anything is solved."""
+    mech = scene.mechanism
+    return lower_expressions("model", scene_inputs(scene), [("Q", mech.Q), ("P", mech.P), ("G", mech.G)])
+
+
 def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:
     """Every parameter and input the scene may have, tau included, with its symbol."""
-    assert scene.parameters is not None
     inputs = [(Input(f.name, f.size, "parameter"), f.symbol) for f in scene.parameters]
     inputs += [(Input(f.name, f.size), f.symbol) for f in scene.input_fields()]
-    if scene.kind != "controls":  # the plant takes tau, and so may a servo scene's program
+    if not scene.system.tau_is_state:  # the plant takes tau, and so may a servo scene's program
         inputs.append((Input("tau", scene.controls), scene.mechanism.tau))
     return inputs
 
 
 def parameter_defaults(scene: Scene) -> dict[str, list[float]]:
     """name -> default values, as inputs of the program."""
-    assert scene.parameters is not None
     return {f.name: list(f.default) for f in scene.parameters}

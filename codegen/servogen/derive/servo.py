@@ -9,18 +9,20 @@ from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.known import Gauge
 from servogen.scene.scene import Scene
 
 
 def derive_servo(scene: Scene) -> Formulation:
     """psi, S and z; also y where it is an expression, and S L^-T with its like where there is a weight."""
     mech = scene.mechanism
-    psi, J, X, prescribed = constraint_rows(scene)
+    gauge = mech.gauge
+    psi, J, X, prescribed = constraint_rows(scene, gauge)
     # m solves with Q for the rows of psi_u, not l for the columns of G
     W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
     W = W_transposed.T
     S = ca.mtimes(W, mech.G)
-    z = prescribed - X - ca.mtimes(W, mech.P)
+    z = prescribed - X - ca.mtimes(W, mech.P if gauge is None else gauge.force)
     words = _words(scene)
     weight = weigh(scene)
     quantities = [
@@ -32,9 +34,12 @@ def derive_servo(scene: Scene) -> Formulation:
     return Formulation(scene, tuple(quantities), mass, weight=weight)
 
 
-def constraint_rows(scene: Scene) -> tuple[Any, Any, Any, Any]:
-    """psi, and J, X, right side of  J u' + X = right side  for all constraints, in the order given."""
-    rows = [_rows(scene, c) for c in scene.constraints]
+def constraint_rows(scene: Scene, gauge: Gauge | None = None) -> tuple[Any, Any, Any, Any]:
+    """psi, and J, X, right side of  J u' + X = right side  for all constraints, in the order given.
+
+    With a gauge, X is that of  J (u' - gauge.u_dot) + X = right side.
+    """
+    rows = [_rows(scene, c, gauge) for c in scene.constraints]
     psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*rows, strict=True))
     return psi, J, X, prescribed
 
@@ -75,12 +80,12 @@ def _words(scene: Scene) -> dict[str, tuple[str, str]]:
     }
 
 
-def _rows(scene: Scene, constraint: Any) -> tuple[Any, Any, Any, Any]:
-    """psi, and J, X, right side of  J u' + X = right side  for one constraint."""
+def _rows(scene: Scene, constraint: Any, gauge: Gauge | None) -> tuple[Any, Any, Any, Any]:
+    """psi, J, X and right side as in constraint_rows, for one constraint."""
     assert not isinstance(constraint, ControlsInvolved)
     what, psi = f"constraint {constraint.name!r}", constraint.psi
     if isinstance(constraint, Holonomic):
-        psi_dot, J, X = holonomic_rates(scene, psi, what)
+        psi_dot, J, X = holonomic_rates(scene, psi, what, gauge)
         return psi, J, X, ca.mtimes(constraint.Theta1, psi_dot) + ca.mtimes(constraint.Theta2, psi)
-    J, psi_dot = nonholonomic_rates(scene, psi, what)
+    J, psi_dot = nonholonomic_rates(scene, psi, what, gauge)
     return psi, J, psi_dot, ca.mtimes(constraint.Theta, psi)

@@ -14,52 +14,80 @@ import numpy as np
 from servogen.ir.evaluate import node_values
 from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
-from servogen.ir.program import Program, live
+from servogen.ir.program import Program
 from servogen.results import FloatArray
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.scalars import EPSILON, Scalar
+
+Entry = tuple[str, int]
+"""An output's name and the number of its entry."""
+
+_BATCH = 2048  # adjoints carried together by one sweep: entries times states
 
 
 def rounding_bounds(program: Program, inputs: Mapping[str, Any], scalar: Scalar) -> dict[str, FloatArray]:
-    """Outputs' error bounds at N states: name -> array (N, size), absolute.
+    """Outputs' error bounds at N states: name -> array (N, size), absolute; as `entry_bounds`, by output."""
+    rows = iter(entry_bounds(program, inputs, scalar))
+    return {o.name: np.stack([next(rows) for _ in o.nodes], axis=-1) for o in program.outputs if o.size} | {
+        o.name: np.zeros((1, 0)) for o in program.outputs if not o.size
+    }
+
+
+def entry_bounds(program: Program, inputs: Mapping[str, Any], scalar: Scalar) -> FloatArray:
+    """Error bounds of all output entries, in the program's order, at N states: (entries, N), absolute.
 
     Derivatives and values are float64 ones; inputs count as exact, constants as rounded once to the scalar.
     """
     epsilon = EPSILON[scalar]
     smallest = float(np.finfo(scalar).smallest_subnormal)
     values = node_values(program, inputs)
+    count = max((len(v) for v in values), default=1)
     partials: list[tuple[FloatArray, ...]] = []
-    local: list[FloatArray] = []
+    local: list[FloatArray | float] = []
     with np.errstate(all="ignore"):
         for instr, value in zip(program.instrs, values, strict=True):
-            operands = [values[a] for a in instr.args]
+            op = OPS.get(instr.op)
+            partials.append(op.partials(*(values[a] for a in instr.args), value) if op else ())
             if isinstance(instr.const, Fraction):
-                partials.append(())
-                local.append(np.full_like(value, _constant_error(instr.const, scalar)))
-            elif instr.const is not None:
-                partials.append(())
-                local.append(np.zeros_like(value))
+                local.append(_constant_error(instr.const, scalar))
             else:
-                op = OPS[instr.op]
-                partials.append(op.partials(*operands, value))
-                local.append(op.rounding * (epsilon * np.abs(value) + smallest))
-        bounds = {}
-        for o in program.outputs:
-            columns = [_bound(program, root, partials, local) for root in o.nodes]
-            bounds[o.name] = np.stack(columns, axis=-1) if columns else np.zeros((1, 0))
-    return bounds
+                local.append(op.rounding * (epsilon * np.abs(value) + smallest) if op and op.rounding else 0.0)
+        roots = [n for o in program.outputs for n in o.nodes]
+        width = max(1, _BATCH // count)
+        batches = [roots[k : k + width] for k in range(0, len(roots), width)]
+        found = [_sweep(program, batch, partials, local, count) for batch in batches]
+    return np.concatenate(found) if found else np.zeros((0, count))
 
 
-def _bound(program: Program, root: int, partials: list[tuple[FloatArray, ...]], local: list[FloatArray]) -> FloatArray:
-    adjoint: dict[int, FloatArray] = {root: np.ones_like(local[root])}
-    total = np.zeros_like(local[root])
-    for k in sorted(live(program, [root]), reverse=True):
-        weight = adjoint.pop(k)
-        reached = weight != 0  # a branch that is not taken may be NaN
-        total += np.where(reached, np.abs(weight) * local[k], 0.0)
+def _sweep(
+    program: Program,
+    roots: list[int],
+    partials: list[tuple[FloatArray, ...]],
+    local: list[FloatArray | float],
+    count: int,
+) -> FloatArray:
+    """The bounds of some nodes, (len(roots), count), from the last instruction to the first."""
+    adjoint: dict[int, FloatArray] = {}
+    for row, root in enumerate(roots):
+        adjoint.setdefault(root, np.zeros((len(roots), count)))[row] = 1.0
+    total = np.zeros((len(roots), count))
+    for k in range(max(roots, default=-1), -1, -1):
+        weight = adjoint.pop(k, None)
+        if weight is None:
+            continue
+        total += _times(np.abs(weight), local[k])
         for a, partial in zip(program.instrs[k].args, partials[k], strict=True):
-            share = np.where(reached, weight * partial, 0.0)
-            adjoint[a] = adjoint[a] + share if a in adjoint else share
+            share = _times(weight, partial)
+            if a in adjoint:
+                adjoint[a] += share
+            else:
+                adjoint[a] = share
     return total
+
+
+def _times(weight: FloatArray, factor: FloatArray | float) -> FloatArray:
+    """weight * factor, where a branch that is not taken (weight zero) may be NaN."""
+    product = np.asarray(weight * factor)
+    return product if np.all(np.isfinite(factor)) else np.where(weight == 0, 0.0, product)
 
 
 def _constant_error(value: Fraction, scalar: Scalar) -> float:

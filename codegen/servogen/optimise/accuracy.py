@@ -6,25 +6,18 @@ whatever the last bits of its maths library.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from servogen.ir.evaluate import node_values
-from servogen.ir.ops import OPS
 from servogen.ir.program import Output, Program
+from servogen.ir.rounding import Entry, entry_bounds
 from servogen.results import FloatArray
 
 TOLERATED = 1.5
 """The largest ratio of an output's error bound to that of the unoptimised program."""
 
 STATES = 24
-_BATCH = 48  # outputs whose adjoints are carried together
-_UNIT = 2.0**-53
-
-Entry = tuple[str, int]
-"""An output's name and the number of its entry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +57,7 @@ def summaries(program: Program, states: Mapping[str, Any]) -> FloatArray:
 
     (entries, 3); NaN for the first two where no bound is finite.
     """
-    bounds = entry_bounds(program, states)
+    bounds = entry_bounds(program, states, "float64")
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(bounds), bounds, np.nan)
         known = np.any(np.isfinite(finite), axis=1)
@@ -74,70 +67,6 @@ def summaries(program: Program, states: Mapping[str, Any]) -> FloatArray:
             result[known, 0] = np.nanmax(finite[known], axis=1)
             result[known, 1] = np.nanmedian(finite[known], axis=1)
     return result
-
-
-def entry_bounds(program: Program, states: Mapping[str, Any]) -> FloatArray:
-    """First-order bounds as in ir/rounding.py, of all entries in one reverse sweep: (entries, N)."""
-    roots = [n for o in program.outputs for n in o.nodes]
-    values = node_values(program, states)
-    count = max((len(v) for v in values), default=1)
-    partials: list[tuple[FloatArray, ...]] = []
-    local: list[FloatArray | None] = []
-    with np.errstate(all="ignore"):
-        for instr, value in zip(program.instrs, values, strict=True):
-            if instr.op in OPS:
-                op = OPS[instr.op]
-                partials.append(op.partials(*(values[a] for a in instr.args), value))
-                local.append(op.rounding * _UNIT * np.abs(value) if op.rounding else None)
-            else:
-                partials.append(())
-                inexact = instr.op == "const" and instr.const != _exactly(instr.const)
-                local.append(0.5 * _UNIT * np.abs(value) if inexact else None)
-        batches = [roots[k : k + _BATCH] for k in range(0, len(roots), _BATCH)]
-        found = [_sweep(program, batch, partials, local, count) for batch in batches]
-    return np.concatenate(found) if found else np.zeros((0, count))
-
-
-def _exactly(const: Any) -> Any:
-    try:
-        return Fraction(float(const))
-    except OverflowError:
-        return const
-
-
-def _sweep(
-    program: Program,
-    roots: list[int],
-    partials: list[tuple[FloatArray, ...]],
-    local: list[FloatArray | None],
-    count: int,
-) -> FloatArray:
-    adjoint: dict[int, FloatArray] = {}
-    for row, root in enumerate(roots):
-        adjoint.setdefault(root, np.zeros((len(roots), count)))[row] = 1.0
-    total = np.zeros((len(roots), count))
-    for k in range(max(roots, default=-1), -1, -1):
-        weight = adjoint.pop(k, None)
-        if weight is None:
-            continue
-        error = local[k]
-        if error is not None:
-            total += _times(np.abs(weight), error)
-        for a, partial in zip(program.instrs[k].args, partials[k], strict=True):
-            share = _times(weight, partial)
-            if a in adjoint:
-                adjoint[a] += share
-            else:
-                adjoint[a] = share
-    return total
-
-
-def _times(weight: FloatArray, factor: FloatArray) -> FloatArray:
-    """weight * factor, where a branch that is not taken (weight zero) may be NaN."""
-    product = weight * factor
-    if not np.all(np.isfinite(factor)):
-        product = np.where(weight == 0, 0.0, product)
-    return product
 
 
 def mix(old: Program, new: Program, keep: list[Entry]) -> Program:

@@ -1,7 +1,7 @@
 """Quarter turns written as decimals: sin(x + 1.5707963267948966) is cos(x), and 1.57079632679 is meant as pi/2 too.
 
-The only rewrite that changes a value, by what the decimal lacks; it is made before anything else, so that every check
-compares with its result, and every case is told.
+It changes a value, by what the decimal lacks; it is made before any rewrite, so that every check compares with its
+result, and every case is told.
 """
 
 from fractions import Fraction
@@ -15,8 +15,6 @@ NEAREST = 1e-10
 """A constant part of an angle within this of a multiple of pi/2 is one."""
 
 _LARGEST_TURNS = 64
-_NOISE = {6.123233995736766e-17: "cos(pi/2)", 1.2246467991473532e-16: "sin(pi)", 1.8369701987210297e-16: "cos(3 pi/2)"}
-"""What double-precision sines and cosines of quarter turns give where zero is meant."""
 
 
 def snap_quarter_turns(program: Program) -> tuple[Program, tuple[str, ...]]:
@@ -51,9 +49,6 @@ class _Snapper:
         return len(self.instrs) - 1
 
     def _other(self, instr: Instr, args: tuple[int, ...]) -> int:
-        if isinstance(instr.const, Fraction) and (name := _NOISE.get(abs(float_of(instr.const)))):
-            self.remarks[f"{float(instr.const)!r} is read as 0: it is the rounding error of {name}"] = None
-            return self._add("const", const=Fraction(0))
         self.instrs.append(Instr(instr.op, args, instr.const))
         return len(self.instrs) - 1
 
@@ -99,13 +94,6 @@ class _Snapper:
         if a is None:
             return self._add("neg", b) if instr.op == "sub" else b
         return self._add(instr.op, a, b)
-
-
-def float_of(value: Fraction) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return float("inf")
 
 
 def quarter_turns(value: Fraction) -> int:

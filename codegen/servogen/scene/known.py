@@ -1,5 +1,6 @@
 """Quantities whose rates are known in closed form, so that nobody needs to differentiate them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,32 +11,64 @@ import casadi as ca
 class Known:
     """A column p' = factor J u with p'' = factor J u' + acceleration, all SX.
 
-    factor: k x w of q. J: w x n_u of q. rate: k, p'. acceleration: k, p'' at u' = 0.
-    still: what the four take to be constant (references, say); the entry does not hold where it moves.
+    factor: k x w of q. J: w x n_u of q. rate: k, p'. acceleration: k, p'' at u' = 0; at_gauge: at the gauge's u'.
+    still: what these take to be constant (references, say); the entry does not hold where it moves.
     """
 
     factor: Any
     J: Any
     rate: Any
     acceleration: Any
+    at_gauge: Any
     still: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Gauge:
+    """The equations of motion about an acceleration of one's choice: Q (u' - u_dot) = force + G tau.
+
+    u_dot, force = P - Q u_dot: n_u, SX. S and z are the same for every choice; a good one makes `force` and the
+    accelerations at u_dot cheap to compute. Q, P: the matrices it holds for.
+    """
+
+    Q: Any
+    P: Any
+    u_dot: Any
+    force: Any
+
+    def holds_for(self, Q: Any, P: Any) -> bool:
+        """Whether these are the very expressions, node for node; who adds friction to P gets no gauge."""
+        return bool(ca.is_equal(self.Q, Q)) and bool(ca.is_equal(self.P, P))
 
 
 class KnownRates:
     """What is known about the expressions of one mechanism; grows as the user asks for them.
 
     Entries are recognised by their SX node, not by their form: an expression that CasADi has rewritten beyond
-    recognition is differentiated like any other.
+    recognition is differentiated like any other. gauge: None where `at_gauge` is never to be used.
     """
+
+    gauge: Gauge | None = None
 
     def __init__(self) -> None:
         self._of_q: dict[int, tuple[Any, Known, int]] = {}
         self._of_u: dict[int, tuple[Any, Known, int]] = {}
 
-    def add(self, factor: Any, J: Any, rate: Any, acceleration: Any, value: Any = None, still: Any = None) -> None:
-        """Make p' = rate known, and p = value if given (a function of q); see Known."""
-        rate = ca.densify(rate)
-        known = Known(factor, J, rate, ca.densify(acceleration), ca.SX() if still is None else still)
+    def add(
+        self,
+        factor: Any,
+        J: Any,
+        rate: Any,
+        accelerations: Sequence[Any],
+        value: Any = None,
+        still: Any = None,
+    ) -> None:
+        """Make p' = rate known, and p = value if given (a function of q); accelerations: at u' = 0 and at the gauge's.
+
+        See Known.
+        """
+        rate, acceleration, at_gauge = (ca.densify(x) for x in (rate, *accelerations))
+        known = Known(factor, J, rate, acceleration, at_gauge, ca.SX() if still is None else still)
         _enter(self._of_u, rate, known)
         if value is not None:
             _enter(self._of_q, ca.densify(value), known)

@@ -7,7 +7,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import column, matrix, symbols
-from servogen.scene.known import KnownRates
+from servogen.scene.known import Gauge, KnownRates
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,3 +66,9 @@ class Mechanism:
         """q' = C u + D, Eq. (1)."""
         rate = self.u if self.C is None else ca.mtimes(self.C, self.u)
         return rate if self.D is None else rate + self.D
+
+    @property
+    def gauge(self) -> Gauge | None:
+        """A cheaper form of Q u' = P + G tau, where Q and P are those it is known for."""
+        gauge = self.known.gauge if self.known is not None else None
+        return gauge if gauge is not None and gauge.holds_for(self.Q, self.P) else None

@@ -7,20 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from servogen.render.render import environment
 from servogen.results import FloatArray
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 from servogen.simulate.sources import LoopSources
+from servogen.tools import firmware_sim
 from servogen.verify.harness import (
     build_images,
     complaint_of,
     execute,
-    firmware_sim,
     floats_of,
     require_target,
     words_of,
     write_if_changed,
 )
-from servogen.verify.vectors import literal, template
+from servogen.verify.vectors import literal
 
 
 class BoardRunError(RuntimeError):
@@ -49,16 +50,20 @@ def run_on_board(
     """
     require_target(target)
     prefix = sources.controller.prefix
-    text = template("setup.h.j2").render(
-        p=prefix,
-        sizes=sizes,
-        arrays=[(n, [literal(float(x), scalar) for x in v] or ["0"]) for n, v in setup.arrays.items()],
-        step=literal(float(np.dtype(scalar).type(setup.step)), scalar),
-        substeps=setup.substeps,
-        steps=setup.steps,
-        method=setup.method,
-        hold=setup.hold,
-        project=setup.project,
+    text = (
+        environment()
+        .get_template("setup.h.j2")
+        .render(
+            p=prefix,
+            sizes=sizes,
+            arrays=[(n, [literal(float(x), scalar) for x in v] or ["0"]) for n, v in setup.arrays.items()],
+            step=literal(float(np.dtype(scalar).type(setup.step)), scalar),
+            substeps=setup.substeps,
+            steps=setup.steps,
+            method=setup.method,
+            hold=setup.hold,
+            project=setup.project,
+        )
     )
     header = build_dir / "vectors" / f"{prefix}_setup.h"
     write_if_changed(header, text)

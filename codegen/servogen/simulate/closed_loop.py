@@ -14,8 +14,8 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.ideal import ideal_decay
 from servogen.simulate.simulation import (
@@ -149,7 +149,6 @@ class ClosedLoop:
         return duration, duration / steps, steps
 
     def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
-        assert self.scene.parameters is not None
         fields = {f.name: f for f in self.scene.parameters}
         for name in given:
             if name not in fields:
@@ -181,9 +180,7 @@ class ClosedLoop:
         if self.target != "host":
             start = Setup(values, step, substeps, steps, method, hold, project)
             work = Path(self._folder.name) / "board"
-            rows, marks, (reason, detail, t) = run_on_board(
-                self._sources, sizes, start, self.scalar, self.target, work
-            )
+            rows, marks, (reason, detail, t) = run_on_board(self._sources, sizes, start, self.scalar, self.target, work)
             return rows, marks, self._stop(reason, detail, t)
         rows = np.zeros((steps + 1, sum(sizes) + 2), dtype)
         marks = np.zeros((steps + 1, 2), np.int32)

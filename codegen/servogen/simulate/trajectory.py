@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray, Status
+from servogen.scene.system import SYSTEMS, Kind
 
 Reason = Literal["finished", "event", "controller", "plant", "stop expression", "reference"]
 
@@ -49,7 +50,7 @@ class Trajectory:
     """
 
     scene: str
-    kind: Literal["servo", "ideal", "controls"]
+    kind: Kind
     step: float
     hold: bool
     method: str
@@ -71,7 +72,7 @@ class Trajectory:
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:
-        return "phi" if self.kind == "controls" else "psi"
+        return SYSTEMS[self.kind].constraint
 
     @property
     def psi(self) -> FloatArray:

@@ -12,10 +12,10 @@ import numpy as np
 
 from servogen.plan.module import Module, Result, StructField
 from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
+from servogen.tools import ToolMissing
 from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, refusal
-from servogen.verify.tools import ToolMissing
 
 if TYPE_CHECKING:
     from servogen.package import Package

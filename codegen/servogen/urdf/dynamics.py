@@ -23,13 +23,13 @@ from servogen.urdf.vectors import (
 )
 
 
-def bias_forces(
+def forces(
     links: list[Link], motion: list[Motion], inertias: list[Inertia], rotors: dict[int, Fraction]
 ) -> tuple[Vec, Vec, list[Any]]:
-    """What holds the robot at zero joint accelerations: force and moment at the root, then one entry per joint.
+    """What a motion takes: force and moment at the root, then one entry per joint.
 
-    Recursive Newton-Euler, Featherstone, Rigid Body Dynamics Algorithms (2008), Table 5.1. inertias: by body, rotors
-    welded to their carriers (regroup.Regrouped.welded). N, N m in the root's frame; N m or N per joint.
+    Recursive Newton-Euler, Featherstone, Rigid Body Dynamics Algorithms (2008), Table 5.1. inertias, rotors: by body,
+    as regrouped. N, N m in the root's frame; N m or N per joint.
     """
     wrenches = [_inertial_wrench(m, i) for m, i in zip(motion, inertias, strict=True)]
     joint: list[Any] = [0.0] * len(links)
@@ -37,8 +37,9 @@ def bias_forces(
         here, parent = links[k - 1], links[k - 1].body.parent
         if k in rotors:
             spin = float(rotors[k])
-            joint[k - 1] = spin * inner(here.axis, motion[parent].alpha)
-            f, n = NOWHERE, cross(motion[parent].omega, times(spin * here.u, here.axis))
+            joint[k - 1] = spin * motion[k].alpha[2]
+            carried = cross(motion[parent].omega, times(spin * motion[k].omega[2], here.axis))
+            f, n = NOWHERE, plus(carried, times(joint[k - 1], here.axis))
         else:
             f, n = wrenches[k]
             joint[k - 1] = f[2] if here.body.prismatic else n[2]
@@ -132,8 +133,8 @@ def mass_matrix(
 ) -> list[list[Any]]:
     """Rows of the symmetric mass matrix: the floating base's linear and angular rates first, then the joints'.
 
-    bodies: composites without the rotors' spin (regroup.Regrouped.spinning). A rotor about axis a adds J a a^T, the
-    first pivot when it is eliminated first.
+    bodies: composites without the rotors' spin. A rotor about axis a adds J a a^T, the first pivot when it is
+    eliminated first.
     """
     base = 6 if floating else 0
     n = base + len(links)

@@ -1,4 +1,4 @@
-"""Velocities and accelerations of all bodies at zero joint accelerations, in body frames, from the root outwards.
+"""Velocities and accelerations of all bodies at given joint accelerations, in body frames, from the root outwards.
 
 Featherstone, Rigid Body Dynamics Algorithms (2008), Table 5.1, in the three-dimensional form of Luh, Walker and Paul.
 The acceleration of the points of a body is a + U r, with U = alpha x + omega x omega x.
@@ -88,9 +88,21 @@ class Motion:
         return plus(self.a, product(self.U, r))
 
 
-def motions(links: list[Link], root: Motion) -> list[Motion]:
-    """Root first, then each body from its parent; links[k] is body k + 1."""
-    found = [root]
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """of: the root's motion first, then each body's. joints: the joints' accelerations, rad/s^2 or m/s^2."""
+
+    of: list[Motion]
+    joints: list[Any]
+
+
+def motions(links: list[Link], root: Motion, at_ease: bool = False) -> Motions:
+    """Each body's motion from its parent's; links[k] is body k + 1.
+
+    Joint accelerations are zero, or, at ease, those at which no body accelerates about its joint's axis (along it, if
+    prismatic): a zero in every acceleration makes the recursion cheaper.
+    """
+    found, accelerations = [root], []
     for k in links:
         parent = found[k.body.parent]
         a = k.outwards(parent.acceleration(k.offset))
@@ -98,11 +110,18 @@ def motions(links: list[Link], root: Motion) -> list[Motion]:
         alpha = k.outwards(parent.alpha)
         if k.body.prismatic:
             a = plus(a, (2 * (y * k.u), -2 * (x * k.u), 0.0))  # Coriolis: 2 omega x z u
-            found.append(Motion((x, y, z), alpha, a))
+            own, a = _eased(a) if at_ease else (0.0, a)
         else:
-            alpha = plus(alpha, (y * k.u, -(x * k.u), 0.0))  # omega x z u
-            found.append(Motion((x, y, z + k.u), alpha, a))
-    return found
+            z, alpha = z + k.u, plus(alpha, (y * k.u, -(x * k.u), 0.0))  # omega x z u
+            own, alpha = _eased(alpha) if at_ease else (0.0, alpha)
+        accelerations.append(own)
+        found.append(Motion((x, y, z), alpha, a))
+    return Motions(found, accelerations)
+
+
+def _eased(a: Vec) -> tuple[Any, Vec]:
+    """What takes the third entry away, and what is left."""
+    return 0.0 - a[2], (a[0], a[1], 0.0)
 
 
 def at_rest(gravity: Vec) -> Motion:

@@ -17,25 +17,14 @@ from servogen.urdf.tree import Body, Tree
 
 @dataclass(frozen=True)
 class Regrouped:
-    """Two ways to hold the same robot's inertia; rotors: body index -> moment of inertia about its axis, kg m^2.
+    """A tree of the same motions; rotors: body index -> moment of inertia about its axis, kg m^2, in no body."""
 
-    welded: each rotor counts as part of its carrier, and only its spin relative to it is left out.
-    spinning: the rotor's moment of inertia about its axis is left out of the carrier as well.
-    """
-
-    welded: Tree
-    spinning: Tree
+    tree: Tree
     rotors: dict[int, Fraction]
 
 
 def regroup(tree: Tree) -> Regrouped:
     """From the tips to the root, move to the parent what the joint does not show."""
-    welded, rotors = _regroup(tree, weld=True)
-    spinning, _ = _regroup(tree, weld=False)
-    return Regrouped(welded, spinning, rotors)
-
-
-def _regroup(tree: Tree, weld: bool) -> tuple[Tree, dict[int, Fraction]]:
     bodies = list(tree.bodies)
     leaves = set(range(1, len(bodies))) - {body.parent for body in bodies}
     rotors: dict[int, Fraction] = {}
@@ -47,13 +36,13 @@ def _regroup(tree: Tree, weld: bool) -> tuple[Tree, dict[int, Fraction]]:
             radial = rest.second[0][0]
             rotors[k] = 2 * radial
             # second moments diag(r, r, 0) mean the inertia diag(r, r, 2 r); without the spin, diag(r, r, 0)
-            hidden += rest if weld else Inertia(ZERO, ORIGIN, _along_axis(radial))
+            hidden += Inertia(ZERO, ORIGIN, _along_axis(radial))
             rest = Inertia()
         bodies[k] = replace(body, inertia=rest)
         parent = bodies[body.parent]
         moved = hidden.seen_from(body.rotation, body.origin)
         bodies[body.parent] = replace(parent, inertia=parent.inertia + moved)
-    return Tree(tuple(bodies), tree.frames), rotors
+    return Regrouped(Tree(tuple(bodies), tree.frames), rotors)
 
 
 def _hidden(body: Body) -> Inertia:

@@ -10,13 +10,13 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import matrix
-from servogen.scene.known import KnownRates
+from servogen.scene.known import Gauge, KnownRates
 from servogen.scene.mechanism import Mechanism
 from servogen.urdf import dynamics, placement
 from servogen.urdf.base import FLOATING_Q, FLOATING_U, fixed_base, floating_base, rate_map
 from servogen.urdf.description import read
 from servogen.urdf.frames import align, slide
-from servogen.urdf.motion import Motion, link, motions
+from servogen.urdf.motion import Motion, Motions, link, motions
 from servogen.urdf.regroup import regroup
 from servogen.urdf.tree import Frame, Tree, build
 from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
@@ -40,7 +40,7 @@ class Robot:
         self.tau = _symbols(tuple(f"{name}_effort" for name in names))
         self._base = floating_base(self.q, self.u, gravity) if floating else fixed_base(gravity)
         self._regrouped = regroup(tree)
-        self._tree = self._regrouped.welded
+        self._tree = self._regrouped.tree
         # body k + 1 moves by the coordinate of its joint, whose place the caller chose
         self._place = [self.joints.index(body.joint) for body in tree.bodies[1:]]
         first_q, first_u = (len(FLOATING_Q), len(FLOATING_U)) if floating else (0, 0)
@@ -66,9 +66,9 @@ class Robot:
         n, base = len(self.joints), self._base.size
         G = ca.vertcat(ca.SX(base, n), ca.SX.eye(n))
         C = rate_map(self._base, self.q[3:7], n) if base else None
-        return Mechanism(
-            q=self.q, u=self.u, tau=self.tau, Q=self._mass_matrix(), P=-self._bias_forces(), G=G, C=C, known=self._known
-        )
+        Q, P = self._mass_matrix(), -self._forces(self._motion)
+        self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
+        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known)
 
     def position(self, frame: str) -> Any:
         """The frame's origin in the world, 3, m. Holonomic constraints on it are derived without differentiation."""
@@ -102,7 +102,7 @@ class Robot:
     def bias_acceleration(self, frame: str) -> Any:
         """6: linear (m/s^2) and angular (rad/s^2) acceleration at u' = 0, J' u, in the world's axes."""
         at = self._frame(frame)
-        linear, angular = self._bias(at, [])
+        linear, angular = self._bias(at, [], self._motion)
         return ca.vertcat(ca.mtimes(self._base_rotation, linear), ca.mtimes(self._base_rotation, angular))
 
     def center_of_mass(self) -> Any:
@@ -115,8 +115,15 @@ class Robot:
     # ------------------------------------------------------------------ recursions, each once
 
     @cached_property
-    def _motion(self) -> list[Motion]:
+    def _motion(self) -> Motions:
+        """At u' = 0."""
         return motions(self._links, Motion(self._base.omega, NOWHERE, self._base.felt()))
+
+    @cached_property
+    def _at_ease(self) -> Motions:
+        """At the accelerations that make this cheapest: a floating base falls freely."""
+        felt = NOWHERE if self._base.floating else self._base.felt()
+        return motions(self._links, Motion(self._base.omega, NOWHERE, felt), at_ease=True)
 
     @cached_property
     def _axes(self) -> list[Mat]:
@@ -124,7 +131,7 @@ class Robot:
 
     @cached_property
     def _composites(self) -> list[dynamics.Composite]:
-        return dynamics.composites(self._links, [body.inertia for body in self._regrouped.spinning.bodies])
+        return dynamics.composites(self._links, [body.inertia for body in self._tree.bodies])
 
     @cached_property
     def _base_rotation(self) -> Any:
@@ -136,10 +143,15 @@ class Robot:
         order = self._order()
         return ca.vertcat(*(ca.horzcat(*(ca.SX(rows[i][j]) for j in order)) for i in order))
 
-    def _bias_forces(self) -> Any:
+    def _forces(self, motion: Motions) -> Any:
         inertias = [body.inertia for body in self._tree.bodies]
-        f, n, joint = dynamics.bias_forces(self._links, self._motion, inertias, self._regrouped.rotors)
+        f, n, joint = dynamics.forces(self._links, motion.of, inertias, self._regrouped.rotors)
         entries = [*f, *n, *joint] if self._base.floating else joint
+        return column([entries[i] for i in self._order()])
+
+    def _accelerations_at_ease(self) -> Any:
+        falling = [-x for x in self._base.felt()] + [0.0] * 3 if self._base.floating else []
+        entries = [*falling, *self._at_ease.joints]
         return column([entries[i] for i in self._order()])
 
     def _order(self) -> list[int]:
@@ -168,10 +180,10 @@ class Robot:
             linear[base + self._place[k - 1]], angular[base + self._place[k - 1]] = along, about
         return ca.horzcat(*map(column, linear)), ca.horzcat(*map(column, angular))
 
-    def _bias(self, frame: Frame, besides: list[Any]) -> tuple[Any, Any]:
-        """Linear and angular bias acceleration in the root's axes."""
-        linear = self._base.without_gravity(placement.bias(self._links, self._axes, self._motion, frame, besides))
-        alpha = self._motion[frame.body].alpha
+    def _bias(self, frame: Frame, besides: list[Any], motion: Motions) -> tuple[Any, Any]:
+        """Linear and angular acceleration in that motion, in the root's axes."""
+        linear = self._base.without_gravity(placement.bias(self._links, self._axes, motion.of, frame, besides))
+        alpha = motion.of[frame.body].alpha
         angular = placement.in_root_axes(self._links, self._axes, frame.body, alpha, besides)
         return column(linear), column(angular)
 
@@ -190,16 +202,16 @@ class Robot:
         """Tells the rates of position, rotation and velocity; returns the velocity."""
         turn = self._base_rotation
         J, J_angular = self._jacobian(frame)
-        linear, alpha = self._bias(frame, J.nonzeros())
+        linear, alpha = zip(*(self._bias(frame, J.nonzeros(), m) for m in (self._motion, self._at_ease)), strict=True)
         v, omega = ca.mtimes(J, self.u), ca.mtimes(J_angular, self.u)
         v_world, omega_world = ca.mtimes(turn, v), ca.mtimes(turn, omega)
-        self._known.add(turn, J, v_world, ca.mtimes(turn, linear), value=position)
-        self._known.add(turn, J_angular, omega_world, ca.mtimes(turn, alpha))
+        self._known.add(turn, J, v_world, [ca.mtimes(turn, a) for a in linear], value=position)
+        self._known.add(turn, J_angular, omega_world, [ca.mtimes(turn, a) for a in alpha])
         # each column c turns by c' = omega x c
         factor = ca.vertcat(*(ca.mtimes(turn, -ca.skew(axis)) for axis in axes))
         spin = ca.vertcat(*(ca.mtimes(turn, ca.cross(omega, ca.cross(omega, axis))) for axis in axes))
-        acceleration = ca.mtimes(factor, alpha) + spin
-        self._known.add(factor, J_angular, ca.mtimes(factor, omega), acceleration, value=ca.vec(rotation))
+        accelerations = [ca.mtimes(factor, a) + spin for a in alpha]
+        self._known.add(factor, J_angular, ca.mtimes(factor, omega), accelerations, value=ca.vec(rotation))
         return ca.vertcat(v_world, omega_world)
 
     def _make_error_known(self, name: str, B: Any, psi: Any, wanted: Any) -> None:
@@ -207,12 +219,13 @@ class Robot:
         B = rotation wanted^T and wanted stands still."""
         frame, turn, omega = self._frame(name), self._base_rotation, self.velocity(name)[3:]
         _, J = self._jacobian(frame)
-        _, alpha = self._bias(frame, J.nonzeros())
+        alpha = [self._bias(frame, J.nonzeros(), motion)[1] for motion in (self._motion, self._at_ease)]
         E = (ca.trace(B) * ca.SX.eye(3) - B) / 2
         rate = ca.mtimes(E, omega)
         spin = ca.cross(omega, rate) - omega * ca.dot(omega, psi)
         factor = ca.mtimes(E, turn)
-        self._known.add(factor, J, rate, ca.mtimes(factor, alpha) + spin, value=psi, still=wanted)
+        accelerations = [ca.mtimes(factor, a) + spin for a in alpha]
+        self._known.add(factor, J, rate, accelerations, value=psi, still=wanted)
 
 
 def _symbols(names: Sequence[str]) -> Any:

@@ -93,7 +93,7 @@ class Machine:
             nodes.add(at)
             todo += self.steps[at].following
         edges = {n: tuple(m for m in self.steps[n].following if m in nodes) for n in nodes}
-        costs = {n: 1 for n in nodes}
+        costs = dict.fromkeys(nodes, 1)
         for n in nodes:
             if (callee := self.steps[n].calls) is not None:
                 costs[n] += self._bound(callee, path)
@@ -218,9 +218,7 @@ def _table(before: list[re.Match[str]], operands: str, words: Mapping[int, int])
     return None if None in entries else Step(tuple(sorted({e & ~1 for e in entries if e is not None})))
 
 
-def _read_sources(
-    addr2line: str, image: Path, addresses: list[int], source: Path, loops: tuple[Loop, ...]
-) -> Sources:
+def _read_sources(addr2line: str, image: Path, addresses: list[int], source: Path, loops: tuple[Loop, ...]) -> Sources:
     """By addr2line, which prints for each address the innermost line first and then those it was inlined into."""
     asked = "\n".join(f"{a:#x}" for a in addresses)
     done = subprocess.run(
@@ -254,7 +252,7 @@ def _distances(
 ) -> dict[int, int]:
     """For each node the longest way to it, itself included, from the heads, to which no way leads back."""
     distance: dict[int, int] = {}
-    arrives = {n: 0 for n in heads}
+    arrives = dict.fromkeys(heads, 0)
     for part in _components(nodes, graph, heads):
         entries = {n for n in part if n in arrives}
         if not entries:

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from servogen.package import Package
+from servogen.render.render import environment
 from servogen.results import FloatArray, Status
+from servogen.scalars import Scalar
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.verify.harness import build_images, complaint_of, execute, require_target, words_of, write_if_changed
 from servogen.verify.truth import STEP_DT
-from servogen.verify.vectors import literal, template
+from servogen.verify.vectors import literal
 
 VECTORS = 10_000
 DRAWN = 16
@@ -144,18 +145,22 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
         )
         box = _flat(fields, many, dtype) if fields else np.zeros((1, 1), dtype)
     entries = _entries(scene, manifest, scalar)
-    return template("campaign.h.j2").render(
-        p=prefix,
-        scalar=scalar,
-        bits=8 * np.dtype(scalar).itemsize,
-        fields=fields,
-        width=max(sum(f.size for f in fields), 1),
-        largest=max(e["size"] for e in entries),
-        states=[[literal(float(x), scalar) for x in row] for row in rows],
-        low=[literal(float(x), scalar) for x in box.min(axis=0)],
-        high=[literal(float(x), scalar) for x in box.max(axis=0)],
-        drawn=DRAWN if fields else 1,
-        entries=entries,
+    return (
+        environment()
+        .get_template("campaign.h.j2")
+        .render(
+            p=prefix,
+            scalar=scalar,
+            bits=8 * np.dtype(scalar).itemsize,
+            fields=fields,
+            width=max(sum(f.size for f in fields), 1),
+            largest=max(e["size"] for e in entries),
+            states=[[literal(float(x), scalar) for x in row] for row in rows],
+            low=[literal(float(x), scalar) for x in box.min(axis=0)],
+            high=[literal(float(x), scalar) for x in box.max(axis=0)],
+            drawn=DRAWN if fields else 1,
+            entries=entries,
+        )
     )
 
 

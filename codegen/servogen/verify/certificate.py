@@ -16,8 +16,8 @@ from servogen.compiler import build
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.solver import SolverPlan
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.verify import objects
 from servogen.verify.bound import BoundUnknownError, Machine, read_machine
 from servogen.verify.harness import HarnessResult, default_states, run_harness

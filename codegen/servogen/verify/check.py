@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from servogen import exact
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
-from servogen.verify import exact
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
-from servogen.verify.tools import ToolMissing
 from servogen.verify.truth import BAR, Truth, states_to_check
-from servogen.verify.vectors import VectorSet, ulp
+from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
 
 STATES = 2000
 HOST_COMPILERS = ("gcc", "clang")
@@ -281,9 +281,9 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     truth = case.truth
     twin = reference(case.scene, case.scalar)
     worst: dict[str, float] = {}
-    answer = "tau_dot" if case.scene.kind == "controls" else "tau"
+    answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
-    names = (case.package.module.entry_points[0].name, *truth.control.system)
+    names = (case.package.module.entry_points[0].name, truth.control.system.matrix, truth.control.system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -316,10 +316,13 @@ def _formula_problems(case: _Case, reference_ulps: dict[str, float]) -> list[str
 
 
 def _not_covered(case: _Case) -> list[str]:
-    """Functions that no vector judges, with the reason."""
-    if case.truth.control.projection_cap > 1:
-        return [f"{case.package.prefix}: project and step, since phi is not affine in tau; the tests compare twins"]
-    return []
+    """What no vector judges, with the reason."""
+    projected = next((e for e in case.vectors.entries if e.call == "project"), None)
+    if projected is None:
+        return []
+    unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
+    of = f"{unknown} of {case.truth.drawn} states"
+    return [f"{case.package.prefix}: project at {of}, where Newton's method finds no nearest tau"] if unknown else []
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
@@ -354,7 +357,7 @@ def _system(
 ) -> tuple[Status, FloatArray, FloatArray]:
     """The system the solver gets: the code's own words for it, and by the scalar's own arithmetic what has no entry."""
     control = case.truth.control
-    matrix, right = control.system
+    matrix, right = control.system.matrix, control.system.right
     if control.matrix == matrix and control.reaction is None:
         status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
         return status, S, z

@@ -25,11 +25,13 @@ import numpy as np
 from servogen.bench.contenders import casadi_c
 from servogen.bench.inputs import drawn
 from servogen.compiler import build, build_solver
-from servogen.scene.loading import builtin_names, load_scene
-from servogen.scene.solver import Scalar, Solver
+from servogen.loading import builtin_names, load_scene
+from servogen.scalars import Scalar
+from servogen.scene.solver import Solver
+from servogen.tools import find_tool
 from servogen.twins.compiled import CROSS_CHECK_FLAGS, CompiledSolver, stack_source
-from servogen.verify.stress import SolverTwin, stress
-from servogen.verify.tools import find_tool
+from servogen.verify.stress import stress
+from servogen.verify.stress.bench import SolverTwin
 
 TIDY = "clang-analyzer-*,bugprone-*,cert-*,misc-*,portability-*,performance-*"
 NOT_TIDY = (

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.verify.tools import find_library, find_tool, tool_path
+from servogen.tools import find_library, find_tool, firmware_sim, tool_path
 from servogen.verify.vectors import VectorSet, data_bytes, render_vectors
 
 Compiler = Literal["gcc", "clang", "asan"]
@@ -117,15 +117,6 @@ class HarnessResult:
         return not self.problems
 
 
-def firmware_sim() -> Path:
-    """The folder of the CMake project: inside an installed package, or at the root of the repository."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "_firmware_sim", package.parents[1] / "firmware_sim"):
-        if (folder / "CMakeLists.txt").is_file():
-            return folder
-    raise RuntimeError("firmware_sim is in neither the package nor the repository; reinstall servogen")
-
-
 def targets() -> list[str]:
     """The names of all targets: host, and the boards."""
     return sorted(path.parent.name for path in firmware_sim().glob("targets/*/target.json"))
@@ -200,6 +191,32 @@ def run_harness(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(check, manifests))
+
+
+def hash_solvers(
+    packages: list[Path],
+    systems: int,
+    *,
+    target: str = "host",
+    compiler: Compiler = "gcc",
+    build_dir: Path,
+    optimisation: str = "-O2",
+    timeout: float = 600.0,
+) -> dict[str, str]:
+    """By prefix, of packages of `servogen.build_solver`: a hash over the bits of `systems` answers and their infos.
+
+    8 hexadecimal digits; "failed: ..." where the image does not run to its end. Raises as run_harness does.
+    """
+    require_target(target, compiler)
+    options = {"SOLVERS": _folders(packages), "SYSTEMS": str(systems), "OPTIMISATION": optimisation}
+    commands = build_images([], target, compiler, build_dir, options)
+    found = {}
+    for prefix in [_manifest(path)["prefix"] for path in packages]:
+        code, log = _execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(_words, log.splitlines()) if w[""] == "bits"), {})
+        good = code == 0 and "hash" in words
+        found[prefix] = words["hash"] if good else f"failed: {_complaint(log, code) or f'exit code {code}'}"
+    return found
 
 
 def read_log(
@@ -302,7 +319,7 @@ def build_images(
     """
     build_dir = build_dir.resolve()
     settings = {
-        "PACKAGES": ";".join(p.resolve().as_posix() for p in packages),
+        "PACKAGES": _folders(packages),
         "VECTORS": (build_dir / "vectors").as_posix(),
         **options,
     }
@@ -311,6 +328,10 @@ def build_images(
     _run([find_tool("cmake", "cmake"), "--preset", _preset(target, compiler), "-B", build_dir, *given])
     _run([find_tool("cmake", "cmake"), "--build", build_dir])
     return _test_commands(build_dir)
+
+
+def _folders(packages: list[Path]) -> str:
+    return ";".join(p.resolve().as_posix() for p in packages)
 
 
 def _environment() -> dict[str, str]:

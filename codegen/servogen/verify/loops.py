@@ -41,9 +41,7 @@ def loops_of(text: str, sizes: Mapping[str, int]) -> tuple[Loop, ...]:
     return tuple(found)
 
 
-def _turns(
-    kind: str, head: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]
-) -> int:
+def _turns(kind: str, head: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]) -> int:
     parts = [part.strip() for part in head.split(";")]
     if kind == "for" and len(parts) == 3:
         start, condition, step = parts
@@ -63,16 +61,12 @@ def _turns(
     raise LoopUnboundedError(f"line {number}: {kind} ({head}): its limit is neither a number nor a dimension known")
 
 
-def _first(
-    text: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]
-) -> int | None:
+def _first(text: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]) -> int | None:
     """The largest value a loop that counts down may start with: a dimension, or the counter of a loop around it."""
     if (value := _value(text, number, lines, sizes)) is not None:
         return value
     around = [loop for loop in found if loop.first < number <= loop.last]
-    counters = {
-        m[1]: loop.turns for loop in around if (m := re.search(r"for \((\w+) = ", lines[loop.first - 1]))
-    }
+    counters = {m[1]: loop.turns for loop in around if (m := re.search(r"for \((\w+) = ", lines[loop.first - 1]))}
     return counters.get(text)
 
 
@@ -110,7 +104,9 @@ def _head(number: int, lines: list[str]) -> tuple[str, list[str]] | None:
         if re.match(r"^[A-Za-z_]", lines[k]):
             text = " ".join(line.strip() for line in lines[k:number])
             head = re.match(r"^[\w\s*]*?(\w+)\(([^)]*)\)", text)
-            return (head[1], [part.split()[-1].lstrip("*").split("[")[0] for part in head[2].split(",")]) if head else None
+            return (
+                (head[1], [part.split()[-1].lstrip("*").split("[")[0] for part in head[2].split(",")]) if head else None
+            )
     return None
 
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
-from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, lower, lower_quantities, parameter_defaults, scene_inputs
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, parameter_defaults
 from servogen.ir.binding import depends_on_parameters_alone, is_constant
 from servogen.ir.field import Residue, unsigned
-from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Output, Program, live
 from servogen.optimise.accuracy import STATES
 from servogen.optimise.angles import snap_quarter_turns
+from servogen.optimise.decimals import clean_constants
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import Optimised, search
@@ -41,30 +41,44 @@ class SceneProgram:
     remarks: tuple[str, ...] = ()
 
 
-def optimise_formulation(formulation: Formulation) -> SceneProgram:
-    """All quantities of a scene as one program; the constraint's value counts less than the system it leads to."""
-    minor = frozenset([formulation.constraint, MASS_PIVOT, MASS_SCALE])
-    return _optimise(formulation.scene, formulation.quantities, formulation.mass, lower(formulation), minor)
-
-
-def optimise_quantities(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment) -> SceneProgram:
-    """Named quantities of a scene as one program."""
-    program = lower_quantities(scene, quantities, mass)
-    return _optimise(scene, quantities, mass, program, frozenset([MASS_PIVOT, MASS_SCALE]))
-
-
-def _optimise(
-    scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, lowered: Program, minor: frozenset[str]
+def optimise_formulation(
+    formulation: Formulation, lowered: Program, model: Program, without: frozenset[str] = frozenset()
 ) -> SceneProgram:
-    snapped, remarks = snap_quarter_turns(optimise(lowered))
-    exact = optimise(snapped)
+    """All quantities of a scene as one program; the constraint's value counts less than the system it leads to.
+
+    lowered: the formulation's quantities. model: the scene's Q, P and G as they are written. without: passes to leave
+    out, by name.
+    """
+    scene, quantities, mass = formulation.scene, formulation.quantities, formulation.mass
+    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]), without)
+
+
+def optimise_quantities(
+    scene: Scene,
+    quantities: Sequence[Quantity],
+    mass: MassTreatment,
+    lowered: Program,
+    model: Program,
+    minor: frozenset[str] = frozenset(),
+    without: frozenset[str] = frozenset(),
+) -> SceneProgram:
+    """Named quantities of a scene as one program; lowered, model as above, minor: outputs that count less."""
+    exact, remarks = as_meant(lowered)
     needing = [q.name for q in quantities if q.needs_mass]
-    own = _own_divisors(scene) if mass.positive_definite and mass.pivots else None
+    own = _divisors(as_meant(model)[0]) if mass.positive_definite and mass.pivots else None
     if own is not None and needing == _free(number_values(exact), needing, own):
         exact = _without_late_pivots(exact)
-    optimised = search(exact, judging_states(scene), minor & {o.name for o in exact.outputs})
+    minor = (minor | {MASS_PIVOT, MASS_SCALE}) & {o.name for o in exact.outputs}
+    optimised = search(exact, judging_states(scene), minor, without)
     free = frozenset() if own is None else frozenset(_free(optimised.program, needing, own))
     return SceneProgram(optimised.program, exact, optimised, free, remarks + optimised.refused)
+
+
+def as_meant(lowered: Program) -> tuple[Program, tuple[str, ...]]:
+    """A program simplified, its constants and angles as they were meant, and remarks on what was read otherwise."""
+    cleaned, constants = clean_constants(lowered)
+    snapped, angles = snap_quarter_turns(optimise(cleaned))
+    return optimise(snapped), constants + angles
 
 
 def judging_states(scene: Scene) -> State:
@@ -92,11 +106,7 @@ def _free(program: Program, names: Sequence[str], own: frozenset[Residue]) -> li
     return [name for name in names if not foreign & live(program, program.output(name).nodes)]
 
 
-def _own_divisors(scene: Scene) -> frozenset[Residue]:
-    """What the scene's own expressions divide by, before anything is solved."""
-    mech = scene.mechanism
-    expressions = [("Q", mech.Q), ("P", mech.P), ("G", mech.G)]
-    program = optimise(lower_expressions("own", scene_inputs(scene), expressions))
+def _divisors(program: Program) -> frozenset[Residue]:
     values = Fingerprints(program).values
     return frozenset(unsigned(values[i.args[1]])[0] for i in program.instrs if i.op == "div")
 

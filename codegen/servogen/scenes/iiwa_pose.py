@@ -5,8 +5,9 @@ a turn away as well, where the constraint loses rank. The reference is a unit qu
 """
 
 import numpy as np
+
 import servogen as sg
-from iiwa_position import END_EFFECTOR, Q_RANGE, ROBOT_FILE
+from servogen.scenes.iiwa_position import END_EFFECTOR, Q_RANGE, ROBOT_FILE
 
 robot = sg.urdf.load(ROBOT_FILE, quiet=True)
 ref = sg.References(

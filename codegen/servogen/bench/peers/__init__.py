@@ -1,0 +1,1 @@
+"""Rivals of a whole scene: another model of the same robot, another library, another code generator."""

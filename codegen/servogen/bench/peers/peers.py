@@ -1,0 +1,55 @@
+"""All rivals of one scene, and ours with each pass of the optimiser left out."""
+
+from collections.abc import Callable, Sequence
+from types import ModuleType
+
+from servogen.bench.contenders import CContender, Contender, casadi_c, servogen_c
+from servogen.bench.inputs import Inputs
+from servogen.bench.peers.robots import adam_scene, pinocchio_c
+from servogen.bench.peers.sympy_c import sympy_c
+from servogen.bench.results import Output
+from servogen.optimise.search import SEARCH
+from servogen.scene.scene import Scene
+from servogen.tools import ToolMissing
+
+OUTPUTS = (Output.SYSTEM, Output.ANSWER)
+NAIVE, BASELINE = "CasADi", "CasADi cse"
+
+
+class Peers:
+    """Chooses the contenders of a scene from its file; `remarks` says who is missing, and how to get him."""
+
+    def __init__(self, module: ModuleType, flags: Sequence[str], ablation: bool = True) -> None:
+        self.module, self.flags, self.ablation = module, flags, ablation
+        self.remarks: list[str] = []
+
+    def __call__(self, scene: Scene, inputs: Inputs, capacity: int) -> Sequence[Contender]:
+        found: list[Contender] = [servogen_c(scene, inputs, capacity, s, OUTPUTS) for s in ("float64", "float32")]
+        rival = scene
+        if hasattr(self.module, "scene_of"):
+            found += self._if_present(lambda: self._with_adam(inputs, capacity))
+            rival = self._adam or scene
+        for name, cse, ldlt in ((NAIVE, False, False), (BASELINE, True, False), (f"{BASELINE}, LDL^T", True, True)):
+            if not ldlt or scene.kind == "servo":
+                found.append(casadi_c(rival, inputs, capacity, name, cse, outputs=OUTPUTS, ldlt=ldlt))
+        found += self._if_present(lambda: [sympy_c(scene, inputs, capacity)])
+        if hasattr(self.module, "scene_of"):
+            found += self._if_present(lambda: [pinocchio_c(self.module, inputs, capacity, self.flags)])
+        if self.ablation:
+            for name in SEARCH:
+                without = frozenset([name])
+                found.append(servogen_c(scene, inputs, capacity, "float64", (Output.SYSTEM,), without))
+        return found
+
+    _adam: Scene | None = None
+
+    def _with_adam(self, inputs: Inputs, capacity: int) -> list[CContender]:
+        self._adam = adam_scene(self.module)
+        return [servogen_c(self._adam, inputs, capacity, "float64", OUTPUTS, name="servogen, adam's model")]
+
+    def _if_present(self, make: Callable[[], list[CContender]]) -> list[CContender]:
+        try:
+            return make()
+        except ToolMissing as missing:
+            self.remarks.append(str(missing))
+            return []
