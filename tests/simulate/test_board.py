@@ -28,7 +28,8 @@ def test_the_tick_of_firmware_and_an_event(need_target):
     """With hold, from a start that ends at once: the reason comes across, too."""
     need_target("cortex-m4")
     scene, simulation = load_simulation("spacecraft")
-    runs = [ClosedLoop(scene, simulation, "float32", target=t).run(duration=0.02, hold=True) for t in ("host", "cortex-m4")]
+    loops = [ClosedLoop(scene, simulation, "float32", target=target) for target in ("host", "cortex-m4")]
+    runs = [loop.run(duration=0.02, hold=True) for loop in loops]
     assert rows_that_differ(*runs) == 0
     other = ClosedLoop(scene, simulation, "float32").run(duration=0.02, hold=True, start={"u": [0.1, 0.1, 0.11]})
     assert rows_that_differ(runs[0], other) > 0

@@ -90,7 +90,8 @@ def machine(need_target, tmp_path_factory):
     flags = ["-mcpu=cortex-m4", "-mthumb", "-O2", "-g", "-w", "-nostdlib", "-Wl,-e,hv_repeat"]
     run(["arm-none-eabi-gcc", *flags, source, "-o", image])
     tools = [f"arm-none-eabi-{name}" for name in ("objdump", "nm", "addr2line")]
-    return read_machine(tools[0], tools[1], image, tools[2], source, loops_of(SOURCE.split("int hv_repeat(int times) {")[0], {}))
+    loops = loops_of(SOURCE.split("int hv_repeat(int times) {")[0], {})
+    return read_machine(tools[0], tools[1], image, tools[2], source, loops)
 
 
 def test_straight_code_counts_exactly(machine):

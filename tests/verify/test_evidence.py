@@ -29,7 +29,7 @@ def test_clang_tidy(source, need_tool):
 def test_what_is_not_listed_is_found(tmp_path, need_tool):
     need_tool("cppcheck", "cppcheck")
     file = Path(tmp_path) / "bad.c"
-    file.write_text("#include <stdio.h>\nint main(void)\n{\n    int x = 010;\n    if (x) return printf(\"%d\", x);\n}\n")
+    file.write_text('#include <stdio.h>\nint main(void)\n{\n    int x = 010;\n    if (x) return printf("%d", x);\n}\n')
     rules = {f.rule for f in unlisted(misra([file]))}
     assert {"7.1", "21.6"} <= rules
     assert unlisted([Finding("x.c", 1, "bugprone-unheard-of")])

@@ -1,4 +1,4 @@
-"""The most instructions a function can take on a board: the longest path through its machine code, loops at their limits.
+"""The most instructions a function can take on a board: the longest path through its machine code, loops at limits.
 
 The linked image is disassembled, and of each function the graph of its jumps is made. A loop in it counts once for each
 turn that its loop in the source can make: which loop that is the compiler's line table tells, inlined functions
@@ -131,7 +131,6 @@ class Sources:
             return None
         named = {loop for stack in known for loop in stack}
         return max((loop.turns for loop in named - set(around) or named), default=0)
-
 
     def _stack(self, address: int, within: set[Loop]) -> tuple[Loop, ...]:
         """The loops around an instruction, without that of a loop within which it may only start."""

@@ -22,8 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from servogen.bench.contenders import casadi_c
-from servogen.bench.inputs import drawn
 from servogen.compiler import build, build_solver
 from servogen.loading import builtin_names, load_scene
 from servogen.scalars import Scalar
@@ -72,7 +70,7 @@ def misra(files: Iterable[Path], *flags: str) -> list[Finding]:
     """All findings of cppcheck's MISRA addon; its own warning of unset variables counts as rule 9.1. ToolMissing."""
     found = []
     for file in files:
-        command = [find_tool("cppcheck", "cppcheck"), "--std=c99", "--addon=misra", "--quiet", "--enable=style"]
+        command = [str(find_tool("cppcheck", "cppcheck")), "--std=c99", "--addon=misra", "--quiet", "--enable=style"]
         template = "--template={file}|{line}|{id}"
         done = subprocess.run([*command, template, *flags, str(file)], capture_output=True, text=True)
         for text in done.stderr.splitlines():
@@ -98,7 +96,14 @@ def tidy(files: Iterable[Path], *flags: str) -> list[Finding]:
     checks = f"-*,{TIDY}," + ",".join(f"-{c}" for c in NOT_TIDY)
     found = []
     for file in files:
-        command = [find_tool("clang-tidy", "clang-tidy"), f"--checks={checks}", "--quiet", str(file), "--", "-std=c99"]
+        command = [
+            str(find_tool("clang-tidy", "clang-tidy")),
+            f"--checks={checks}",
+            "--quiet",
+            str(file),
+            "--",
+            "-std=c99",
+        ]
         done = subprocess.run([*command, f"-I{file.parent}", *flags], capture_output=True, text=True)
         for m in re.finditer(r":(\d+):\d+: (?:warning|error): .*\[([\w.,-]+)\]$", done.stdout, re.MULTILINE):
             found.append(Finding(file.name, int(m[1]), m[2]))
@@ -107,6 +112,9 @@ def tidy(files: Iterable[Path], *flags: str) -> list[Finding]:
 
 def casadi_source(scene_name: str, folder: Path) -> Path:
     """CasADi's own C for a scene's matrix, right side and answer."""
+    from servogen.bench.contenders import casadi_c  # the bench stands above this layer
+    from servogen.bench.inputs import drawn
+
     scene = load_scene(scene_name)
     contender = casadi_c(scene, drawn(scene, 4, 0), 4, "CasADi cse", cse=True)
     for file in contender.files:

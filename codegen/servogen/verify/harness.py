@@ -42,8 +42,9 @@ class OutputResult:
     ulps of the output's scale, over the domain's vectors. max_ratio: largest error / tolerance, at vector `worst`,
     element `element` (flat). status_mismatches, rank_mismatches: per entry point. touched: values changed under a
     negative status. overruns: guard words changed. drift: values that differed when the same vector was run again.
-    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1, 2,
-    4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else what is wrong.
+    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1,
+    2, 4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else
+    what is wrong.
     """
 
     entry: str
@@ -212,10 +213,10 @@ def hash_solvers(
     commands = build_images([], target, compiler, build_dir, options)
     found = {}
     for prefix in [_manifest(path)["prefix"] for path in packages]:
-        code, log = _execute(commands[f"bits_{prefix}"], timeout)
-        words = next((w for w in map(_words, log.splitlines()) if w[""] == "bits"), {})
+        code, log = execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(words_of, log.splitlines()) if w[""] == "bits"), {})
         good = code == 0 and "hash" in words
-        found[prefix] = words["hash"] if good else f"failed: {_complaint(log, code) or f'exit code {code}'}"
+        found[prefix] = words["hash"] if good else f"failed: {complaint_of(log, code) or f'exit code {code}'}"
     return found
 
 
