@@ -1,7 +1,7 @@
 """The closed loop inside an emulated board: the host's rows, bit for bit."""
 
 import pytest
-from servogen.scene.loading import load_simulation
+from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import rows_that_differ
 

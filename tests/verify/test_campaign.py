@@ -4,7 +4,7 @@ import json
 import os
 
 import pytest
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.loading import builtin_names, load_scene
 from servogen.verify.campaign import campaign_header, read_campaign, run_campaign
 from servogen.verify.generated import FOLDERS, committed_folder
 

@@ -1,8 +1,8 @@
 """Certificates on boards: everything is proven, nothing seen exceeds it, and the budgets hold."""
 
 import pytest
+from servogen.loading import load_scene, scene_folder
 from servogen.report.certificates import render_certificates
-from servogen.scene.loading import load_scene, scene_folder
 from servogen.verify.budget import FILE, exceeded, read
 from servogen.verify.certificate import certify
 

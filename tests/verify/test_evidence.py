@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.verify.evidence import Finding, coverage, listed, misra, tidy, unlisted
 
 
