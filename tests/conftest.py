@@ -7,9 +7,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from servogen.tools import ToolMissing, find_tool
-from servogen.verify.harness import require_target
 from servogen.tools import ToolMissing, find_library, find_tool
+from servogen.verify.harness import require_target
 
 
 def _skip_or_fail(missing: object) -> None:

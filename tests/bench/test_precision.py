@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from servogen import exact
 from servogen.bench.solver import contenders, precision
 from servogen.bench.solver.plot import STYLES, draw
 from servogen.cli.main import cli
 from servogen.report.precision import render_precision
-from servogen import exact
 
 
 @pytest.fixture(scope="module")

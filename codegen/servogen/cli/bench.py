@@ -2,13 +2,11 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from servogen.bench.contenders import default_contenders
-from servogen.bench.peers.peers import Peers
+from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
@@ -28,9 +26,8 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.loading import load_scene, scene_module
-from servogen.report.precision import render_precision
 from servogen.loading import load_scene
+from servogen.report.precision import render_precision
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
@@ -87,19 +84,11 @@ def bench_command(
     words = tuple(flags.split())
     results = []
     for spec in chosen(scenes, every):
-        scene = load_scene(spec)
-        rivals = Peers(scene_module(spec), words) if peers else None
         with progress(as_json) as advance:
-            result = bench(
-                scene,
-                rounds=rounds,
-                compiler=compiler,
-                flags=words,
-                contenders=rivals or default_contenders,
-                progress=advance,
-            )
-        if rivals:
-            result = replace(result, remarks=(*result.remarks, *rivals.remarks))
+            if peers:
+                result = bench_peers(spec, words, rounds=rounds, compiler=compiler, progress=advance)
+            else:
+                result = bench(load_scene(spec), rounds=rounds, compiler=compiler, flags=words, progress=advance)
         results.append(result)
         paths = write(result, folder / result.scene)
         if not as_json:
