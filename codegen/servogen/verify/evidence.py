@@ -133,7 +133,7 @@ def coverage(
             twin: Any = CompiledSolver(package.module, libraries[source])
             return twin  # type: ignore[no-any-return]
 
-        stress(make, systems=systems, shapes=shapes, scalars=scalars)
+        stress(make, systems=systems * len(shapes), shapes=shapes, scalars=scalars)
         counts: dict[tuple[str, int, int], int] = {}
         lines: dict[tuple[str, int, int], tuple[str, int, str]] = {}
         for source, library in libraries.items():
