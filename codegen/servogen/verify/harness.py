@@ -212,10 +212,10 @@ def hash_solvers(
     commands = build_images([], target, compiler, build_dir, options)
     found = {}
     for prefix in [_manifest(path)["prefix"] for path in packages]:
-        code, log = _execute(commands[f"bits_{prefix}"], timeout)
-        words = next((w for w in map(_words, log.splitlines()) if w[""] == "bits"), {})
+        code, log = execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(words_of, log.splitlines()) if w[""] == "bits"), {})
         good = code == 0 and "hash" in words
-        found[prefix] = words["hash"] if good else f"failed: {_complaint(log, code) or f'exit code {code}'}"
+        found[prefix] = words["hash"] if good else f"failed: {complaint_of(log, code) or f'exit code {code}'}"
     return found
 
 
