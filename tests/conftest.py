@@ -1,15 +1,17 @@
 """Shared by all tests: what to do where a tool is not installed."""
 
+import importlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+from servogen.tools import ToolMissing, find_library, find_tool
 from servogen.verify.harness import require_target
-from servogen.verify.tools import ToolMissing, find_tool
 
 
-def _skip_or_fail(missing: ToolMissing) -> None:
+def _skip_or_fail(missing: object) -> None:
     """Skips and says why; fails instead where SERVOGEN_REQUIRE_ALL=1 (on machines that must check everything)."""
     if os.environ.get("SERVOGEN_REQUIRE_ALL") == "1":
         pytest.fail(f"SERVOGEN_REQUIRE_ALL=1, but {missing}")
@@ -31,6 +33,20 @@ def need_tool() -> Callable[[str, str], Path]:
 
 
 @pytest.fixture(scope="session")
+def need_library() -> Callable[[str, str, str], Path]:
+    """need_library("clang", "libm.a", "libc6-dev"): its path, as that compiler would link it."""
+
+    def need(compiler: str, file: str, debian_package: str) -> Path:
+        try:
+            return find_library(find_tool(compiler, compiler), file, debian_package)
+        except ToolMissing as missing:
+            _skip_or_fail(missing)
+            raise AssertionError from missing
+
+    return need
+
+
+@pytest.fixture(scope="session")
 def need_target() -> Callable[..., None]:
     """need_target("cortex-m4") or need_target("host", "clang"): skips where a tool it takes is missing."""
 
@@ -39,5 +55,19 @@ def need_target() -> Callable[..., None]:
             require_target(target, compiler)
         except ToolMissing as missing:
             _skip_or_fail(missing)
+
+    return need
+
+
+@pytest.fixture(scope="session")
+def need_module() -> Callable[[str, str], ModuleType]:
+    """need_module("pinocchio", "pin"): the module, or the test is skipped with the command that installs it."""
+
+    def need(name: str, package: str) -> ModuleType:
+        try:
+            return importlib.import_module(name)
+        except ImportError:
+            _skip_or_fail(f"{name} is not installed: pip install {package}")
+            raise
 
     return need

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import servogen as sg
 from servogen.cli.main import main
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.loading import builtin_names, load_scene
 from servogen.verify.generated import committed_folder, compare, differences, regenerate
 
 # ---- generated/ ----

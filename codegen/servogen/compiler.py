@@ -4,20 +4,23 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from servogen.derive.derive import derive
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
-from servogen.optimise.for_scene import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.render.render import render
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
-from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.scene import Scene, check_scene
+from servogen.scene.solver import Solver
+from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
 
 
 def build(
@@ -37,6 +40,7 @@ def build(
     casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
     Raises SceneError for anything wrong with the scene.
     """
+    check_scene(scene, "sg.build")
     module = compile_scene(scene, target_for(scene.name, scalar, prefix, math))
     return write(render(module, casadi_abi), out, module, scene)
 
@@ -65,8 +69,17 @@ def build_solver(
     *,
     math: Math = "own",
 ) -> Package:
-    """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12."""
-    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver or Solver())
+    """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12.
+
+    SceneError for other shapes, and for a solver that is no sg.Solver.
+    """
+    solver = Solver() if solver is None else solver
+    if not isinstance(solver, Solver):
+        raise SceneError(f"sg.build_solver: solver is {type(solver).__name__}; give an sg.Solver(...)")
+    if not all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in (m, l)):
+        raise SceneError(f"sg.build_solver({m!r}, {l!r}): give the rows and the columns of S as whole numbers, 1 to 12")
+    m, l = int(m), int(l)
+    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver)
     return write(render(module), out, module, None)
 
 

@@ -28,7 +28,7 @@ STATUS_MEANING: dict[Status, str] = {
     Status.RANK_DEFICIENT_INCONSISTENT: "the constraints cannot all be met; least squares, minimum norm",
     Status.REGULARISED: "close to a singularity, damping changed the answer",
     Status.NONFINITE: "NaN or infinity among the inputs or parameters; outputs untouched",
-    Status.SINGULAR_MASS: "the mass matrix Q is singular to working precision; outputs untouched",
+    Status.SINGULAR_MASS: "Q is singular, or not positive definite as it was over the domain; outputs untouched",
     Status.NOT_CONVERGED: "an iteration met its cap; outputs untouched",
     Status.OVERFLOW: "a result is not a finite number of this type; outputs untouched",
 }

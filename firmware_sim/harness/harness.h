@@ -15,7 +15,9 @@
 
 #define HARNESS_GUARD 4       /* guard words on each side of a guarded output */
 #define HARNESS_MAX_OUTPUTS 8 /* of one entry point; servogen.verify.vectors knows this number too */
+#define HARNESS_BINS 10u      /* of an output's histogram of errors; the last one is open */
 #define HARNESS_ANY_ANSWER 127 /* expected status: any that is not negative */
+#define HARNESS_ANY_STATUS (-127) /* any at all */
 #define HARNESS_ANY_RANK (-1)  /* expected rank: not compared */
 
 typedef struct {
@@ -35,6 +37,12 @@ typedef struct {
     int rank;
 } harness_info;
 
+/* What is measured around calls: two functions of the board. */
+typedef struct {
+    void (*start)(void);
+    uint32_t (*stop)(void);
+} harness_probe;
+
 typedef struct {
     const char *name;
     uint32_t vectors;
@@ -44,7 +52,7 @@ typedef struct {
     const int8_t *status; /* expected, one per vector; NULL: any that is not negative */
     const int8_t *rank;   /* expected, one per vector; NULL: not compared */
     int (*run)(uint32_t vector, real *const out[], harness_info *info); /* info NULL: so for the entry point, too */
-    void (*repeat)(uint32_t vector, real *const out[], uint32_t times); /* the calls alone, with an info */
+    uint32_t (*repeat)(uint32_t vector, real *const out[], uint32_t times, const harness_probe *probe);
 } harness_entry;
 
 typedef struct {

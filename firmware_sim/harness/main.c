@@ -16,6 +16,7 @@ typedef struct {
     uint32_t compared; /* reals held against an expected value */
     uint32_t outside;  /* of these, beyond their tolerance */
     real error;        /* largest, in ulps of the scale; NaN counts as infinite */
+    uint32_t histogram[HARNESS_BINS]; /* of the errors in ulps, over the domain */
     real ratio;        /* largest error / tolerance */
     uint32_t worst;    /* vector and element of that ratio */
     uint32_t element;
@@ -79,6 +80,18 @@ static real ratio_of(real error, real tolerance)
     return error > 0 ? REAL_INFINITY : 0;
 }
 
+/* Bin k holds errors up to 2^(k - 1) ulps, bin 0 those up to half an ulp, the last all that are larger. */
+static uint32_t bin_of(real ulps)
+{
+    real limit = (real)0.5;
+    uint32_t bin = 0;
+    while (bin < HARNESS_BINS - 1u && ulps > limit) {
+        limit *= 2;
+        ++bin;
+    }
+    return bin;
+}
+
 static void compare(const harness_output *output, const real *value, uint32_t vector, int in_domain, tally *t)
 {
     const real *hi = output->hi + (size_t)vector * output->hi_stride;
@@ -91,8 +104,9 @@ static void compare(const harness_output *output, const real *value, uint32_t ve
         const real error = deviation(value[i], hi[i], lo[i]);
         const real ulps = error / output->ulp;
         const real ratio = ratio_of(error, tolerance[i]);
-        if (in_domain && ulps > t->error) {
-            t->error = ulps;
+        if (in_domain) {
+            t->error = ulps > t->error ? ulps : t->error;
+            ++t->histogram[bin_of(ulps)];
         }
         if (ratio > t->ratio || t->compared == 0) {
             t->ratio = ratio;
@@ -107,19 +121,22 @@ static void compare(const harness_output *output, const real *value, uint32_t ve
 #ifdef SERVOGEN_MEASURE
 #define TIMES 100u /* calls of one vector: the counter's tick is many instructions long */
 
-/* Instructions of one call, its arguments and its place in a loop included: the worst and the mean over all vectors. */
+/* Instructions of one call, its arguments and its place in a loop included: the worst and the mean over all vectors;
+   and the deepest stack below the caller's. */
 static void measure(const harness_entry *entry)
 {
+    static const harness_probe counter = {hal_count_start, hal_count_stop};
+    static const harness_probe painter = {hal_stack_paint, hal_stack_used};
     real *out[HARNESS_MAX_OUTPUTS] = {0};
-    uint32_t worst = 0, at = 0, missing = 0;
+    uint32_t worst = 0, at = 0, missing = 0, stack = 0;
     uint64_t sum = 0;
     for (uint32_t j = 0; j < entry->outputs; ++j) {
         out[j] = entry->output[j].exact;
     }
     for (uint32_t k = 0; k < entry->vectors; ++k) {
-        hal_count_start();
-        entry->repeat(k, out, TIMES);
-        const uint32_t count = hal_count_stop();
+        const uint32_t count = entry->repeat(k, out, TIMES, &counter);
+        const uint32_t depth = entry->repeat(k, out, 1, &painter);
+        stack = depth > stack ? depth : stack;
         missing += count == 0;
         sum += count;
         if (count > worst) {
@@ -134,6 +151,7 @@ static void measure(const harness_entry *entry)
     print_count(" worst=", (worst + TIMES - 1) / TIMES);
     print_count(" vector=", at);
     print_count(" mean=", entry->vectors != 0 ? (uint32_t)(sum / TIMES / entry->vectors) : 0);
+    print_count(" stack=", stack);
     print_text("\n");
     print_flush();
 }
@@ -203,7 +221,8 @@ static void run_vector(const harness_entry *entry, uint32_t vector, tally *talli
 
     const int expected = entry->status != NULL ? entry->status[vector] : HARNESS_ANY_ANSWER;
     const int rank = entry->rank != NULL ? entry->rank[vector] : HARNESS_ANY_RANK;
-    const int as_expected = expected == HARNESS_ANY_ANSWER ? status >= 0 : status == expected;
+    const int as_expected =
+        expected == HARNESS_ANY_STATUS || (expected == HARNESS_ANY_ANSWER ? status >= 0 : status == expected);
     counts->status += !as_expected || info.status != status;
     counts->rank += rank != HARNESS_ANY_RANK && info.rank != rank;
     for (uint32_t j = 0; j < entry->outputs; ++j) {
@@ -238,6 +257,9 @@ static int report(const harness_entry *entry, const harness_output *output, cons
     print_count(" drift=", t->drift);
     print_text(" hash=");
     print_hex(t->hash, 16);
+    for (uint32_t k = 0; k < HARNESS_BINS; ++k) {
+        print_count(k == 0 ? " histogram=" : ",", t->histogram[k]);
+    }
     print_number(" pass=", good);
     print_text("\n");
     print_flush();

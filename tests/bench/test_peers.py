@@ -9,8 +9,8 @@ from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.peers.peers import OUTPUTS, Peers
 from servogen.bench.results import Output
 from servogen.bench.run import bench
+from servogen.loading import load_scene, scene_module
 from servogen.optimise.search import SEARCH
-from servogen.scene.loading import load_scene, scene_module
 
 SCENE = load_scene("planar_arm_3r")
 

@@ -9,7 +9,7 @@ from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
 from servogen.bench.plot import draw, pareto
 from servogen.bench.results import Output
 from servogen.bench.run import bench
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 
 SCENE = load_scene("double_pendulum_energy")
 BASELINE = "CasADi cse"

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from support.models import derived
 
 PENDULUM = load_scene("double_pendulum_energy")

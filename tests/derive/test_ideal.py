@@ -119,6 +119,12 @@ def test_ideal_torques_vanish_with_E_only_where_K_does_not_vanish_faster() -> No
     stopping = ClosedLoop(double_pendulum_ideal.scene, double_pendulum_ideal.simulation).run()
     assert stopping.stop.event == "K/E < 1e-3"
     assert np.max(np.abs(stopping.outputs["E"] / stopping.decay["E"] - 1)) < 1e-8  # E follows to t*
+    for run in (moving, stopping):  # G tau = Theta (E - E_0) Q u / (2 K) all the way
+        for k in range(0, len(run.t), len(run.t) // 40):
+            energy, kinetic, inertia = pendulum({"q": run.q[k], "u": run.u[k]})
+            force = -energy * inertia @ run.u[k] / (2 * kinetic)
+            tau = run.tau[k] if run is stopping else code.control(q=run.q[k], u=run.u[k]).value
+            assert np.allclose(np.array(ca.DM(G)) @ tau, force, rtol=1e-9, atol=1e-9)
     last = np.abs(stopping.tau[-1]).max()
     assert stopping.outputs["E"][-1] < 0.4 * stopping.outputs["E"][0]
     assert last > 4 * np.abs(stopping.tau[0]).max()
@@ -178,3 +184,38 @@ def test_T_u_dot_is_F_on_random_models(seed: int, mass: str, kind: str) -> None:
         assert np.linalg.norm(found["T"] @ u_dot - found["F"].ravel()) <= 1e-8 * size
         b = (parts["prescribed"] - parts["X"]).ravel()
         assert np.allclose(parts["J"] @ u_dot, b, rtol=1e-8, atol=1e-8 * (1 + np.linalg.norm(b)))
+
+
+def in_units(scene: sg.Scene, *units: float) -> sg.Scene:
+    """The scene with each of its constraints written in another unit."""
+    parts = {sg.Holonomic: ("Theta1", "Theta2"), sg.Nonholonomic: ("Theta",)}
+    constraints = [
+        type(c)(c.name, unit * c.psi, *(getattr(c, name) for name in parts[type(c)]))
+        for unit, c in zip(units, scene.constraints, strict=True)
+    ]
+    return sg.Scene("units", scene.mechanism, constraints, scene.parameters, scene.references, mode="ideal")
+
+
+@pytest.mark.parametrize("units", [(1e20, 1.0), (1e-9, 1e9), (1.0, 1e-120), (1e80, 1e-80)])
+@pytest.mark.parametrize("mass", ["spd", "indefinite", "exchange"])
+def test_the_unit_of_a_constraint_does_not_change_its_force(units: tuple[float, float], mass: str) -> None:
+    """Rows whose sizes differ by more than 1/eps once were taken for dependent."""
+    plain = ideal(11, mass=mass)
+    scene = in_units(plain, *units)
+    code, textbook, expected = sg.build(scene).load(), sg.reference(scene), sg.reference(plain)
+    for state in states_of(plain, 5):
+        R = expected.R(**state)
+        assert relative(code.R(**state), R) < 1e-10
+        assert relative(textbook.R(**state), R) < 1e-10
+        assert code.control(**state).info.status == expected.control(**state).info.status
+
+
+def test_T_and_F_do_not_exist_where_the_dependent_columns_are_singular() -> None:
+    """At rest the pendulum's row u^T Q vanishes: both twins answer NaN, neither raises."""
+    code, textbook = sg.build(double_pendulum_ideal.scene).load(), sg.reference(double_pendulum_ideal.scene)
+    rest = {"q": np.array([1.0, 2.0]), "u": np.zeros(2), "E_0": np.zeros(1)}
+    assert code.evaluate("T", rest)[0] == textbook.nonminimal(rest)[0] == sg.Status.OVERFLOW  # type: ignore[attr-defined]
+    for twin in (code, textbook):
+        assert np.all(np.isnan(twin.T(**rest)))
+        assert twin.F(**rest).shape == (2,)
+        assert np.all(np.isnan(twin.F(q=[np.nan, 0.0], u=[1.0, 1.0])))

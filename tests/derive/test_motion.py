@@ -143,10 +143,10 @@ def test_controls_involved_system_is_the_motion(mass: str) -> None:
 def test_other_shapes(m: int, l: int, n: int) -> None:
     for kind in ("nonholonomic", "controls"):
         scene = random_scene(7, kind, m, l, n)
-        formulation, quantities = derived(scene)
+        _, quantities = derived(scene)
         motion, rng = Motion(scene), np.random.default_rng(1)
         state, x = random_state(scene, rng), rng.uniform(-1, 1, l)
-        matrix, right = formulation.system
+        matrix, right = scene.system.matrix, scene.system.right
         inputs = state if kind == "controls" else state | {"tau": x}
         system = quantities(**inputs)
         assert system[matrix].shape == (m, l)

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from servogen.verify.harness import firmware_sim
-from servogen.verify.tools import find_tool, tool_path
+from servogen.tools import find_tool, firmware_sim, tool_path
 
 PROJECT = """
 cmake_minimum_required(VERSION 3.20)

@@ -263,7 +263,7 @@ def test_float32_image_has_no_double_arithmetic(
 LOG = """harness prefix=p bits=64 entries=1 prepare=0
 result entry=z output=z vectors=64 compared=64 outside=0 ulps=0000000000000000 ratio=0000000000000000 worst=0 {}
 verdict pass=1
-""".format("element=0 status=0 rank=0 touched=0 overruns=0 drift=0 hash=0000000000000000 pass=1")
+""".format("element=0 status=0 rank=0 touched=0 overruns=0 drift=0 hash=0000000000000000 histogram=64 pass=1")
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ verdict pass=1
         ("compared=64", "compared=63", 0, "63 of 64 values were compared"),
         ("outside=0", "outside=1", 0, "beyond"),
         ("drift=0", "drift=1", 0, "run again"),
-        ("0 pass=1", "0 pass=0", 0, "the harness failed it"),
+        ("64 pass=1", "64 pass=0", 0, "the harness failed it"),
         ("prepare=0", "prepare=-2", 0, "prepare returned -2"),
     ],
 )

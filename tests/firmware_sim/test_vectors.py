@@ -9,8 +9,8 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from servogen.verify.harness import firmware_sim, require_target, run_harness, targets
-from servogen.verify.tools import ToolMissing, find_tool
+from servogen.tools import ToolMissing, find_tool, firmware_sim
+from servogen.verify.harness import require_target, run_harness, targets
 from servogen.verify.vectors import (
     MAX_OUTPUTS,
     EntryVectors,

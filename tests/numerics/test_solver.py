@@ -9,11 +9,13 @@ import pytest
 import servogen as sg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from servogen import exact
+from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Path, Status
-from servogen.scene.solver import EPSILON
-from servogen.twins import textbook_solver
-from servogen.verify import exact
+from servogen.scalars import EPSILON
+from servogen.verify.stress import core
+from servogen.verify.stress.matrices import with_spectra
 
 SCALARS = ["float64", "float32"]
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (7, 3), (6, 7), (12, 12)]
@@ -55,6 +57,32 @@ def test_tau_and_pinv_against_rationals(shape, scalar):
         bound = u * (np.linalg.norm(S, 2) * np.linalg.norm(tau) + np.linalg.norm(z))
         assert abs(info.residual - residual) <= 3 * bound
         assert shape[0] > shape[1] or residual <= 1.5 * bound
+
+
+@pytest.mark.parametrize("kappa", [1e6, 1e12, 5e13])
+def test_tall_and_ill_conditioned_is_as_good_as_wide(kappa):
+    """The first step of the QR must not trust that its pivots are orthogonal: errors of 1e9 u kappa, until mended."""
+    generator = np.random.default_rng(5)
+    sigma = np.array([[1.0, 1 / kappa]] * 50)
+    S = with_spectra(3, 2, sigma, generator)
+    z = np.einsum("nij,nj->ni", S, generator.standard_normal((50, 2)))
+    tau, _ = twin(3, 2).solve(S, z)
+    for i in range(50):
+        right = exact.pinv_full(exact.rational(S[i])) * exact.rational(z[i])
+        error = np.linalg.norm(exact.difference(tau[i], right)) / np.linalg.norm(exact.nearest(right))
+        assert error <= 4 * EPSILON["float64"] * np.linalg.cond(S[i])
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", [(2, 3), (3, 7), (7, 3)])
+def test_singular_vectors_are_orthogonal_however_small_the_value(shape, scalar, need_tool):
+    """B^T u / sigma alone turns towards the vectors of larger values by u / sigma: 1e13 units, until mended."""
+    need_tool("gcc", "gcc")
+    u, n = EPSILON[scalar], min(shape)
+    sigma = (0.1 / u) ** -(np.arange(n) / max(n - 1, 1))
+    S = with_spectra(*shape, np.array([sigma] * 50), np.random.default_rng(6))
+    for ratios in core.ratios(S, scalar, u):
+        assert ratios.max() <= 5
 
 
 @pytest.mark.parametrize("scalar", SCALARS)
@@ -105,7 +133,8 @@ def _near_a_decision(S, plan):
     rows = np.abs(S).max(axis=1).astype(float)
     kept = np.where((rows > np.array(plan.atol))[:, None], S.astype(float), 0.0)
     raw = np.linalg.svd(kept, compute_uv=False)
-    unit = np.ldexp(1.0, np.frexp(np.where(rows > 0, rows, 1.0))[1] - 1)
+    length = np.linalg.norm(kept, axis=1)
+    unit = np.ldexp(1.0, np.frexp(np.where(length > 0, length, 1.0))[1] - 1)
     scaled = np.linalg.svd(kept / unit[:, None], compute_uv=False)
     deciding = scaled if plan.rank == "scaled" else raw
     if deciding[0] > 0 and np.any(np.abs(deciding / deciding[0] / plan.rtol - 1) < 1e-3):

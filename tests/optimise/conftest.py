@@ -4,8 +4,8 @@ import pytest
 from servogen.derive.derive import derive
 from servogen.derive.lower import lower
 from servogen.ir.program import Program
+from servogen.loading import builtin_names, load_scene
 from servogen.optimise.passes import optimise
-from servogen.scene.loading import builtin_names, load_scene
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen.bench.instructions import _self_cost
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from support.c import compiler, run
 
 BARS = {"double_pendulum_energy": (3.5, 2.0), "spacecraft": (2.2, 2.2)}

@@ -17,13 +17,13 @@ from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program, check_legal
 from servogen.ir.rounding import entry_bounds
+from servogen.loading import builtin_names, load_scene
 from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
 from servogen.optimise.cost import OPERATION, Objective, tick_operations
-from servogen.optimise.for_scene import judging_states
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
 from servogen.scene.domain import draw_states
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.scene_program import judging_states
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
 
@@ -213,8 +213,8 @@ def test_random_scenes_keep_their_meaning(seed: int) -> None:
 
 def test_the_same_program_whatever_the_hash_seed() -> None:
     code = (
-        "from servogen.compiler import compile_scene, optimised_scene, target_for\n"
-        "from servogen.scene.loading import load_scene\n"
+        "from servogen.compiler import compile_scene, target_for\n"
+        "from servogen.loading import load_scene\n"
         "print(compile_scene(load_scene('spacecraft'), target_for('p', 'float64', None)))"
     )
     texts = {

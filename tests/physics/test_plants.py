@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 from servogen.compiler import build_plant
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.twins.compiled import compile_library
 
 

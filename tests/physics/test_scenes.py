@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.loading import load_scene, load_simulation
 from servogen.scene.domain import draw_states
-from servogen.scene.loading import load_scene, load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 

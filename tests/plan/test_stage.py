@@ -13,10 +13,10 @@ from servogen.compiler import compile_scene, target_for
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import evaluate
 from servogen.ir.program import Program, check_legal
+from servogen.loading import load_scene
 from servogen.optimise.passes import optimise
 from servogen.plan.module import Module
 from servogen.plan.stage import Staged, cut, stage
-from servogen.scene.loading import load_scene
 from support.models import awkward_scenes, random_scene
 from support.programs import TAME, examples, programs, random_states
 

@@ -9,8 +9,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.loading import load_scene
 from servogen.render import mathematics, minimax
-from servogen.scene.loading import load_scene
 from support.c import STRICT, compiler
 from support.mathematics import Compiled, write
 

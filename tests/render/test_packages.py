@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import pytest
 import servogen as sg
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.loading import builtin_names, load_scene
 from support.c import STRICT, compiler, run
 from support.models import awkward_scenes
 
@@ -177,7 +177,7 @@ BUILD = """
 import sys
 from pathlib import Path
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from support.models import awkward_scenes
 folder = Path(sys.argv[1])
 for name in ("double_pendulum_energy", "spacecraft_smooth"):

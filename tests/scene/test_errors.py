@@ -359,7 +359,7 @@ def test_constants_that_do_not_fit_the_type() -> None:
         (lambda: sg.Parameters(a="heavy"), ("parameter 'a'", "'heavy'", "neither a number nor a list")),
         (lambda: sg.Parameters(a=[]), ("parameter 'a'", "empty")),
         (lambda: sg.Parameters(a=[[1.0, 2.0], [3.0, 4.0]]), ("parameter 'a'", "(2, 2)", "column")),
-        (lambda: sg.References(r=sg.Ref(0.0, order=3)), ("reference 'r'", "order=3", "0, 1 or 2")),
+        (lambda: sg.References(r=sg.Ref(0.0, order=3)), ("sg.Ref(order=3)", "0, 1 or 2")),
         (lambda: sg.References(r=sg.Ref(0.0, order=1), r_dot=0.0), ("r_dot", "collides", "rename")),
         (lambda: sg.References(r_dot=0.0, r=sg.Ref(0.0, order=1)), ("r_dot", "collides", "rename")),
         (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the ref")),
@@ -525,6 +525,35 @@ def test_a_domain_that_cannot_be_drawn_from(draw: Any) -> None:
 def test_a_solver_that_is_none() -> None:
     with pytest.raises(sg.SceneError, match=r"give an sg\.Solver"):
         drawn_from(None, solver={"rank": "raw"})
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: sg.build(5), ("sg.build", "sg.Scene", "int")),  # type: ignore[arg-type]
+        (lambda: sg.reference("crane"), ("sg.reference", "sg.Scene", "str")),  # type: ignore[arg-type]
+        (lambda: sg.build_solver(2.5, 3), ("sg.build_solver(2.5, 3)", "whole numbers, 1 to 12")),  # type: ignore[arg-type]
+        (lambda: sg.build_solver(2, 13), ("S of 2 x 13", "1 to 12")),
+        (lambda: sg.build_solver(2, 3, solver="svd"), ("solver is str", "sg.Solver")),  # type: ignore[arg-type]
+        (lambda: sg.Solver(damping="x"), ("damping='x'", "positive number")),  # type: ignore[arg-type]
+        (lambda: sg.Solver(rtol="x"), ("rtol='x'",)),  # type: ignore[arg-type]
+        (lambda: sg.Solver(atol=["x"]), ("atol=['x']",)),  # type: ignore[list-item]
+        (lambda: sg.Ref(0.0, order=-1), ("sg.Ref(order=-1)", "0, 1 or 2")),
+        (lambda: sg.Ref(0.0, unit=5), ("sg.Ref(unit=5)", "text")),  # type: ignore[arg-type]
+        (lambda: sg.Simulation(step=-1.0), ("step = -1.0", "positive")),
+        (lambda: sg.Simulation(outputs=3), ("outputs = 3",)),  # type: ignore[arg-type]
+    ],
+)
+def test_what_a_function_cannot_take(make: Callable[[], Any], words: tuple[str, ...]) -> None:
+    refused(make, *words)
+
+
+def test_what_is_a_number_nowhere_is_refused() -> None:
+    nowhere = ca.sqrt(-1 - q[0] ** 2)
+    refused(lambda: built([speed(u[0] + nowhere)]), "constraint 'speed': psi", "not finite at any state", "domain")
+    refused(lambda: built(mech=mechanism(P=ca.vertcat(nowhere, 0))), "z is not finite at any state")
+    refused(lambda: built(y=ca.vertcat(nowhere, 0)), "y is not finite at any state")
+    refused(lambda: built(domain=lambda rng: {"q": [np.nan, 0.0]}), "domain: the drawn 'q'", "not finite")
 
 
 def drawn_from(domain: Any, **more: Any) -> sg.Scene:

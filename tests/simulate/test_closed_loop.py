@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_simulation
+from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import METHODS, ClosedLoop, simulate
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.sources import write_loop
-from servogen.verify.harness import firmware_sim
+from servogen.tools import firmware_sim
 
 STRICT = (
     "-std=c99 -O2 -ffp-contract=off -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion "

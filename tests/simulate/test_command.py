@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from servogen.cli import main
 from servogen.errors import SceneError
-from servogen.scene.loading import builtin_names, load_simulation
+from servogen.loading import builtin_names, load_simulation
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import check_simulation

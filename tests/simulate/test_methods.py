@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_simulation
+from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.precision import measure, tight_end
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.loading import builtin_names, load_scene
 from servogen.scene.domain import draw_states
-from servogen.scene.loading import builtin_names, load_scene
 from support.models import awkward_scenes, random_scene
 
 STATES = 30

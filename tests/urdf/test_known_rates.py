@@ -8,7 +8,7 @@ import pytest
 import servogen as sg
 from servogen.derive.known import cut
 from servogen.derive.servo import derive_servo
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from support.robots import A1, A1_FEET, IIWA, IIWA_TOOL, draw_state
 
 GAINS: dict[str, Any] = {"Theta1": -2.0, "Theta2": -3.0}

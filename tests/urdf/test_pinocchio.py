@@ -1,6 +1,8 @@
 """Against Pinocchio, where it is installed (extra `robots`), at 1e-10 of the largest entry."""
 
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
@@ -9,13 +11,20 @@ import pytest
 import servogen as sg
 from support.robots import A1, IIWA, IIWA_TOOL, draw_state
 
-pin = pytest.importorskip("pinocchio", reason="Pinocchio is not installed: pip install pin")
 TOLERANCE = 1e-10
+
+
+@pytest.fixture(scope="module")
+def pin(need_module: Callable[[str, str], ModuleType]) -> ModuleType:
+    return need_module("pinocchio", "pin")
 
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 @pytest.mark.parametrize(("path", "frame"), [(IIWA, IIWA_TOOL), (A1, "FL_toe"), (A1, "RR_upper")])
-def test_agrees_with_pinocchio(path: Path, frame: str, base: str) -> None:
+def test_agrees_with_pinocchio(
+    path: Path, frame: str, base: str, need_module: Callable[[str, str], ModuleType]
+) -> None:
+    pin = need_module("pinocchio", "pin")
     floating = base == "floating"
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if floating else []))
     data = model.createData()
@@ -27,7 +36,9 @@ def test_agrees_with_pinocchio(path: Path, frame: str, base: str) -> None:
     generator = np.random.default_rng(0)
     for _ in range(10):
         q, u, _ = draw_state(robot, generator)
-        theirs = _pinocchio(model, data, np.concatenate([q[:3], q[4:7], q[3:4], q[7:]]) if floating else q, u, frame)
+        theirs = _pinocchio(
+            pin, model, data, np.concatenate([q[:3], q[4:7], q[3:4], q[7:]]) if floating else q, u, frame
+        )
         if not floating and path == A1:
             theirs = theirs[:-1]  # Pinocchio leaves out what is fixed to the world, here the trunk
         for name, value, expected in zip(
@@ -37,7 +48,7 @@ def test_agrees_with_pinocchio(path: Path, frame: str, base: str) -> None:
             assert error <= TOLERANCE * max(1e-3, np.max(np.abs(expected))), (name, error)
 
 
-def _pinocchio(model: Any, data: Any, q: Any, u: Any, frame: str) -> list[Any]:
+def _pinocchio(pin: ModuleType, model: Any, data: Any, q: Any, u: Any, frame: str) -> list[Any]:
     upper = np.triu(pin.crba(model, data, q))
     bias = pin.nonLinearEffects(model, data, q, u).copy()
     pin.forwardKinematics(model, data, q, u, np.zeros(model.nv))

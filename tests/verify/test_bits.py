@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from servogen.scene.loading import builtin_names, load_scene
+from servogen.loading import builtin_names, load_scene
 from servogen.verify.bits import Build, builds, hashes
 from servogen.verify.harness import targets
 

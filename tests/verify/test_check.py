@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.verify import check as check_module
 from servogen.verify.check import check
 from servogen.verify.truth import Truth, states_to_check

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import servogen as sg
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
 from servogen.verify import objects
 from servogen.verify.budget import accept, exceeded, read
 from servogen.verify.certificate import Certificate, EntryCost
@@ -109,7 +109,7 @@ def test_libm_is_seen_where_it_is_asked_for(need_target, tmp_path):
 
 
 def certificate(**changes):
-    entry = EntryCost("control", 1000, 900, 0, 10, 200, ("control",), {}, 1.0, ())
+    entry = EntryCost("control", 1000, 900, 1100, 0, 10, 200, 180, ("control",), {}, 1.0, ())
     given = {"entries": (entry,), "flash": 4000} | changes
     fixed = {"scene": "s", "scalar": "float32", "target": "cortex-m4", "prefix": "s_f32", "math": "own"}
     rest = {"compiler": "", "flags": (), "library": 0, "ram": 0, "state": {}, "functions": {}, "needs": ()}
@@ -123,7 +123,7 @@ def test_a_budget_allows_three_percent(tmp_path):
     assert exceeded(certificate(), read(file)) == []
     assert exceeded(certificate(flash=4119), read(file)) == []
     assert "flash: 4125, +3.1% of the budget 4000" in exceeded(certificate(flash=4125), read(file))[0]
-    dearer = EntryCost("control", 1031, 900, 0, 10, 207, ("control",), {}, 1.0, ())
+    dearer = EntryCost("control", 1031, 900, 1100, 0, 10, 207, 180, ("control",), {}, 1.0, ())
     assert len(exceeded(certificate(entries=(dearer,)), read(file))) == 2
     assert "nothing of that name" in exceeded(certificate(entries=()), {"s": {"cortex-m4": {"float32": {
         "instructions": {"gone": 5}}}}})[0]  # fmt: skip

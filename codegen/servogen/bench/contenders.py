@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,13 +19,20 @@ from servogen.ir.program import Input
 from servogen.plan.module import Module, StructField
 from servogen.render.render import SourceFile, render
 from servogen.results import FloatArray
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.twins.reference import reference
 
 BASELINE = "CasADi cse"
 
 _REAL = {"float64": "double", "float32": "float"}
+
+_SYSTEMS: dict[str, dict[Output, str]] = {
+    "servo": {Output.MATRIX: "S", Output.RIGHT: "z"},
+    "ideal": {Output.RIGHT: "R"},
+    "controls": {Output.MATRIX: "A", Output.RIGHT: "B"},
+}
+"""The entry points beside control."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +98,8 @@ def default_contenders(scene: Scene, inputs: Inputs, capacity: int) -> tuple[Con
 
 def output_sizes(scene: Scene) -> dict[Output, int]:
     """Entries of each output."""
-    m, l = scene.rows, scene.controls
-    return {Output.MATRIX: m * l, Output.RIGHT: m, Output.SYSTEM: m * l + m, Output.ANSWER: l}
+    rows, l = scene.system_shape
+    return {Output.MATRIX: rows * l, Output.RIGHT: rows, Output.SYSTEM: rows * l + rows, Output.ANSWER: l}
 
 
 APART = (Output.MATRIX, Output.RIGHT, Output.ANSWER)
@@ -110,16 +118,18 @@ def servogen_c(
     left_out = "".join(f"_{word}" for word in "_".join(sorted(without)).split())
     p = f"{scene.name}_{'f64' if scalar == 'float64' else 'f32'}{left_out.lower()}"
     module = compile_scene(scene, target_for(scene.name, scalar, p), without)
+    assert module.control is not None
     files = tuple(f for f in render(module) if f.name in (f"{p}.h", f"{p}.c"))
-    matrix, right = ("S", "z") if scene.kind == "servo" else ("A", "B")
-    both, size = f"{matrix}_{right}", scene.rows * scene.controls
     calls = {
-        Output.MATRIX: Call(f"{p}_{matrix}(&model, &inputs[k], out)", f"{p}_{matrix}"),
-        Output.RIGHT: Call(f"{p}_{right}(&model, &inputs[k], out)", f"{p}_{right}"),
-        Output.SYSTEM: Call(f"{p}_{both}(&model, &inputs[k], out, out + {size})", f"{p}_{both}"),
-        Output.ANSWER: Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control"),
+        output: Call(f"{p}_{entry}(&model, &inputs[k], out)", f"{p}_{entry}")
+        for output, entry in _SYSTEMS[scene.kind].items()
     }
-    kernel = next(e.kernel for e in module.entry_points if e.name == both)
+    calls[Output.ANSWER] = Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control")
+    kernel = module.control.kernel
+    if Output.MATRIX in calls:
+        both, size = f"{scene.system.matrix}_{scene.system.right}", scene.rows * scene.controls
+        calls[Output.SYSTEM] = Call(f"{p}_{both}(&model, &inputs[k], out, out + {size})", f"{p}_{both}")
+        kernel = next(e.kernel for e in module.entry_points if e.name == both)
     short = f"servogen {scalar.replace('float', 'f')}"
     return CContender(
         name or (f"{short} less {', '.join(sorted(without))}" if without else short),
@@ -128,7 +138,7 @@ def servogen_c(
         True,
         files,
         _servogen_declarations(module, inputs, capacity),
-        {output: calls[output] for output in outputs},
+        {output: calls[output] for output in outputs if output in calls},
         operations=kernel.program.operations()["total"],
     )
 
@@ -263,7 +273,6 @@ static void load(const double *parameters, const double *states, long n)
 def textbook(scene: Scene) -> PythonContender:
     """servogen.reference: numpy's SVD with our rank policy."""
     twin = reference(scene)
-    matrix, right = ("S", "z") if scene.kind == "servo" else ("A", "B")
 
     def part(name: str, state: Mapping[str, FloatArray]) -> Answer:
         status, result = twin.system(twin.read_inputs(dict(state)))
@@ -273,17 +282,16 @@ def textbook(scene: Scene) -> PythonContender:
         control = twin.control(**state)
         return int(control.info.status), control.value
 
-    calls = {
-        Output.MATRIX: lambda state: part(matrix, state),
-        Output.RIGHT: lambda state: part(right, state),
-        Output.ANSWER: answer,
+    calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
+        output: partial(part, name) for output, name in _SYSTEMS[scene.kind].items()
     }
+    calls[Output.ANSWER] = answer
     return PythonContender("textbook twin", "float64", False, calls)
 
 
 def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
     """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv."""
-    found = user.expressions(scene)
+    found = {Output.MATRIX: ca.densify(scene.mechanism.G), **user.expressions(scene)}
     functions = {
         output: user.function(scene, f"numpy_{output.value}", found[output], cse=True)
         for output in (Output.MATRIX, Output.RIGHT)
@@ -308,9 +316,11 @@ def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
         y = call(free, state)
         return 0, np.ravel(y + inverse @ (z - S @ y))
 
-    calls = {
-        Output.MATRIX: lambda state: (0, np.ravel(call(functions[Output.MATRIX], state))),
-        Output.RIGHT: lambda state: (0, np.ravel(call(functions[Output.RIGHT], state))),
-        Output.ANSWER: answer,
+    def part(output: Output, state: Mapping[str, FloatArray]) -> Answer:
+        return 0, np.ravel(call(functions[output], state))
+
+    calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
+        output: partial(part, output) for output in _SYSTEMS[scene.kind]
     }
+    calls[Output.ANSWER] = answer
     return PythonContender("CasADi VM, numpy", "float64", False, calls)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.bench.contenders import CContender
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Built, Output
+from servogen.render.render import environment
 from servogen.results import FloatArray
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 
 @dataclass(frozen=True)
@@ -131,14 +131,7 @@ def _write(
     folder: Path,
 ) -> list[Path]:
     """All files; returned are the C sources."""
-    templates = Environment(
-        loader=PackageLoader("servogen.bench", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # C, not HTML
-    )
+    templates = environment("bench")
     texts = {f.name: f.text for c in contenders for f in c.files}
     for c in contenders:
         loop = templates.get_template("loop.c.j2").render(

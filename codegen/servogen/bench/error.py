@@ -12,17 +12,17 @@ from servogen.compiler import optimised_scene
 from servogen.derive.formulation import Weight
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
 from servogen.results import FloatArray
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 
 Truth = dict[Output, list[list[Any]]]
 """Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""
 
 
 def truth(scene: Scene, inputs: Inputs) -> Truth:
-    """S, z by the unoptimised program's 50-digit interpreter, and tau by exact elimination with them."""
+    """S, z (or R) by the unoptimised program's 50-digit interpreter, and tau by exact elimination with them."""
     formulation, program = optimised_scene(scene)
-    matrix, right = formulation.system
+    matrix, right = scene.system.matrix, scene.system.right
     weight = formulation.weight
     factorised = formulation.factorised
     columns = inputs.columns()
@@ -30,7 +30,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
     result: Truth = {output: [] for output in Output}
     for k, exact in enumerate(evaluate_exactly(program.exact, columns)):
-        S, z = exact[matrix], exact[right]
+        S, z = exact[matrix], _reaction(exact) if scene.kind == "ideal" else exact[right]
         y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
@@ -39,6 +39,20 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
             _minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l)
         )
     return result
+
+
+def _reaction(exact: dict[str, list[Any]]) -> list[Any]:
+    """R = J^T (J Q^-1 J^T)^-1 (b - J Q^-1 P), Eq. (17); NaN where the rows of J are dependent."""
+    right, entries = exact["reaction_right"], exact["reaction_matrix"]
+    m, n = len(right), len(exact["J"]) // len(right)
+    with mp.workdps(DIGITS):
+        if not all(mp.isfinite(x) for x in (*entries, *right, *exact["J"])):
+            return [mp.nan] * n
+        try:
+            force = mp.lu_solve(mp.matrix([entries[m * i : m * (i + 1)] for i in range(m)]), mp.matrix(right))
+        except ZeroDivisionError:
+            return [mp.nan] * n
+        return [mp.fsum(exact["J"][n * i + c] * force[i] for i in range(m)) for c in range(n)]
 
 
 def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, weight: Weight, l: int) -> list[Any]:

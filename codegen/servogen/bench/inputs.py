@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from servogen.results import FloatArray
+from servogen.scalars import Scalar
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
-from servogen.scene.solver import Scalar
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,6 @@ def at_the_boundary(scene: Scene) -> tuple[tuple[str, ...], Inputs]:
 
 
 def _table(scene: Scene, states: State) -> Inputs:
-    assert scene.parameters is not None
     fields, parameters = scene.input_fields(), tuple(scene.parameters)
     values = np.hstack([states[f.name] for f in fields])
     defaults = np.concatenate([np.zeros(0), *(np.array(f.default) for f in parameters)])

@@ -4,11 +4,14 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 
 
 class Output(StrEnum):
-    """What is timed and judged: the matrix, the right side, the two at once, and the answer of the system."""
+    """What is timed and judged: the matrix, the right side, the two at once, and the answer of the system.
+
+    The matrix G of ideal control forces is the user's own: it is not judged.
+    """
 
     MATRIX = "matrix"
     RIGHT = "right"
@@ -18,6 +21,7 @@ class Output(StrEnum):
 
 LABELS: dict[str, dict[Output, str]] = {
     "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.SYSTEM: "S, z", Output.ANSWER: "tau"},
+    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
     "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.SYSTEM: "A, B", Output.ANSWER: "tau'"},
 }
 

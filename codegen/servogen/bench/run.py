@@ -20,7 +20,6 @@ from servogen.bench.error import count_answers, judge, truth
 from servogen.bench.inputs import Inputs, at_the_boundary, drawn
 from servogen.bench.results import LABELS, Bench, Instructions, Measurement
 from servogen.bench.timing import BATCH, Key, sample, summarise
-from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 
@@ -50,8 +49,6 @@ def bench(
     contenders: (scene, inputs, capacity) -> who is measured; baseline: of the ratios.
     Raises ToolMissing without a C compiler.
     """
-    if scene.kind == "ideal":
-        raise SceneError(f"scene {scene.name!r}: ideal control forces have no rivals to measure against yet")
     command = compiler or default_compiler()
     version = compiler_version(command)
     names, edge = at_the_boundary(scene)

@@ -14,7 +14,6 @@ PARAMETERS = "p"
 
 def arguments(scene: Scene) -> list[tuple[str, Any]]:
     """(name, symbol) of the functions' arguments: every input of the scene, then all parameters in one column."""
-    assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in scene.input_fields()]
     return [*fields, (PARAMETERS, ca.vertcat(ca.SX(0, 1), *(f.symbol for f in scene.parameters)))]
 
@@ -22,10 +21,13 @@ def arguments(scene: Scene) -> list[tuple[str, Any]]:
 def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
     """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41).
 
-    The system is the matrix, row by row, then the right side. ldlt: Q is factorised once, as an expert would, and
-    solved with for the rows of psi_u; else `ca.solve` does what it does.
+    The system is the matrix, row by row, then the right side. Of ideal control forces R (n) and the answer alone, Eqs.
+    (16)-(17). ldlt: Q is factorised once, as an expert would, and solved with for the rows of psi_u; else `ca.solve`
+    does what it does.
     """
-    S, z = _servo(scene, ldlt) if scene.kind == "servo" else _controls(scene)
+    S, z = (
+        _servo(scene, ldlt) if scene.kind == "servo" else _ideal(scene) if scene.kind == "ideal" else _controls(scene)
+    )
     inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
@@ -34,6 +36,8 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
     system = ca.vertcat(ca.vec(ca.densify(S).T), z)
     found = {Output.MATRIX: S, Output.RIGHT: z, Output.SYSTEM: system, Output.ANSWER: tau}
+    if scene.kind == "ideal":
+        del found[Output.MATRIX], found[Output.SYSTEM]  # G, as the user wrote it
     return {output: ca.densify(expression) for output, expression in found.items()}
 
 
@@ -51,6 +55,23 @@ def function(scene: Scene, name: str, expression: Any, cse: bool) -> Any:
 
 def _servo(scene: Scene, ldlt: bool) -> tuple[Any, Any]:
     mech = scene.mechanism
+    psi_u, rest = _rows(scene)
+    if ldlt:
+        W = ca.ldl_solve(psi_u.T, *ca.ldl(mech.Q)).T
+        return ca.mtimes(W, mech.G), rest - ca.mtimes(W, mech.P)
+    return ca.mtimes(psi_u, ca.solve(mech.Q, mech.G)), rest - ca.mtimes(psi_u, ca.solve(mech.Q, mech.P))
+
+
+def _ideal(scene: Scene) -> tuple[Any, Any]:
+    mech = scene.mechanism
+    J, b = _rows(scene)
+    inertia = ca.mtimes(J, ca.solve(mech.Q, J.T))
+    return mech.G, ca.mtimes(J.T, ca.solve(inertia, b - ca.mtimes(J, ca.solve(mech.Q, mech.P))))
+
+
+def _rows(scene: Scene) -> tuple[Any, Any]:
+    """J and b of the rows J u' = b."""
+    mech = scene.mechanism
     J, X, prescribed = [], [], []
     for c in scene.constraints:
         assert not isinstance(c, ControlsInvolved)
@@ -63,12 +84,7 @@ def _servo(scene: Scene, ldlt: bool) -> tuple[Any, Any]:
             J.append(ca.jacobian(c.psi, mech.u))
             X.append(psi_dot)
             prescribed.append(ca.mtimes(c.Theta, c.psi))
-    psi_u = ca.vertcat(*J)
-    rest = ca.vertcat(*prescribed) - ca.vertcat(*X)
-    if ldlt:
-        W = ca.ldl_solve(psi_u.T, *ca.ldl(mech.Q)).T
-        return ca.mtimes(W, mech.G), rest - ca.mtimes(W, mech.P)
-    return ca.mtimes(psi_u, ca.solve(mech.Q, mech.G)), rest - ca.mtimes(psi_u, ca.solve(mech.Q, mech.P))
+    return ca.vertcat(*J), ca.vertcat(*prescribed) - ca.vertcat(*X)
 
 
 def _controls(scene: Scene) -> tuple[Any, Any]:

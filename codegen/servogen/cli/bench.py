@@ -1,5 +1,7 @@
 """servogen bench: run time against error, ours beside what one would otherwise use."""
 
+import json
+import re
 from pathlib import Path
 
 import click
@@ -8,10 +10,13 @@ from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
+from servogen.bench.solver.plot import draw as draw_precision
+from servogen.bench.solver.precision import SHAPES, Point, measure
 from servogen.cli.console import (
     FAILED,
     all_option,
     chosen,
+    complain,
     emit_json,
     err,
     json_option,
@@ -21,7 +26,8 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
+from servogen.report.precision import render_precision
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
@@ -53,6 +59,8 @@ NOTES = (
     "--peers", is_flag=True,
     help="Whole rivals, S and z at once and tau: adam, SymPy, Pinocchio; and ours less each pass.",
 )  # fmt: skip
+@click.option("--solver", is_flag=True, help="The pseudo-inverse alone, at conditions 1 to 1e14, in DIR/solver/.")
+@click.option("--shape", "shapes", multiple=True, metavar="MxL", help="With --solver: only this one; may be repeated.")
 @json_option
 def bench_command(
     scenes: tuple[str, ...],
@@ -62,12 +70,17 @@ def bench_command(
     compiler: str | None,
     flags: str,
     peers: bool,
+    solver: bool,
+    shapes: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Run time against error of SCENE's S, z and tau, for servogen and others in one run on the same states.
 
     Exit code 1 if code of ours hands out a NaN or an infinity without a word.
     """
+    if solver:
+        bench_solver(folder / "solver", shapes, rounds, as_json)
+        return
     words = tuple(flags.split())
     results = []
     for spec in chosen(scenes, every):
@@ -86,6 +99,42 @@ def bench_command(
         raise click.exceptions.Exit(FAILED)
 
 
+def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bool) -> None:
+    """The work-precision diagrams of the solver alone: solver.json, solver.html and the plots in `folder`."""
+    chosen_shapes = [_shape(text) for text in shapes] or SHAPES
+    with progress(as_json) as advance:
+        found = measure(chosen_shapes, rounds=rounds, progress=advance)
+    figures = draw_precision(found, folder)
+    (folder / "solver.json").write_text(json.dumps(to_jsonable(found), indent=1) + "\n")
+    (folder / "solver.html").write_text(render_precision(found, figures), encoding="utf-8")
+    for text in found.missing:
+        complain("MISSING RIVAL", text)
+    if as_json:
+        emit_json(found)
+        return
+    for shape, scalar in figures:
+        for kappa in (1.0, 1e8 if scalar == "float64" else 1e4):
+            table(
+                f"{shape} {scalar}, kappa {kappa:g}: ns a solve, largest error",
+                ("contender", "median", "99.9 %", "worst", "/ (u kappa)", "relative"),
+                [_point(p) for p in found.facet(shape, scalar, kappa)],
+                right=range(1, 6),
+            )
+    out.print(f"wrote {folder / 'solver.html'}, solver.json and the plots", markup=False, soft_wrap=True)
+
+
+def _point(p: Point) -> tuple[str, ...]:
+    times = (f"{t:.0f}" for t in (p.median, p.p999, p.worst))
+    return (p.contender, *times, f"{p.error:.3g}", f"{p.relative:.2g}")
+
+
+def _shape(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)x(\d+)", text)
+    if found is None or not all(1 < int(n) <= 12 for n in found.groups()):
+        raise click.BadParameter(f"{text!r}: give rows and columns from 2 to 12, like 3x7", param_hint="--shape")
+    return int(found[1]), int(found[2])
+
+
 def document(result: Bench) -> dict[str, object]:
     """results.json: the bench, and the derived figures of its measurements."""
     plain: dict[str, object] = to_jsonable(result)
@@ -98,8 +147,6 @@ def document(result: Bench) -> dict[str, object]:
 
 def write(result: Bench, folder: Path) -> tuple[Path, ...]:
     """results.json, bench.svg and bench.png in `folder`, made if need be."""
-    import json
-
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.json"
     path.write_text(json.dumps(document(result), indent=2) + "\n")

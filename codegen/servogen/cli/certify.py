@@ -1,5 +1,8 @@
-"""servogen certify: what a scene's C costs on a board, held to its budget."""
+"""servogen certify: what a scene's C costs on boards, proven and seen, held to its budget."""
 
+import json
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 from pathlib import Path
 
 import click
@@ -16,19 +19,23 @@ from servogen.cli.console import (
     progress,
     scenes_argument,
     table,
+    to_jsonable,
 )
-from servogen.scene.loading import load_scene, scene_folder
+from servogen.loading import load_scene, scene_folder
+from servogen.report.certificates import render_certificates
 from servogen.verify import budget
 from servogen.verify.certificate import Certificate, certify
-from servogen.verify.harness import targets
+from servogen.verify.harness import require_target, targets
 
-BOARDS = [name for name in targets() if name != "host"]
+BOARDS = tuple(name for name in targets() if name != "host")
 
 
 @click.command("certify")
 @scenes_argument
 @all_option
-@click.option("--target", "boards", type=click.Choice(BOARDS), multiple=True, help="A board; default cortex-m4.")
+@click.option(
+    "--target", "boards", type=click.Choice([*BOARDS, "all"]), multiple=True, help="A board; default cortex-m4."
+)
 @click.option(
     "--budget",
     "file",
@@ -36,31 +43,53 @@ BOARDS = [name for name in targets() if name != "host"]
     help="The budgets; default budget.toml beside each scene.",
 )
 @click.option("--accept", is_flag=True, help="Write the measured figures into the budget.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes, a scene each.")
+@click.option(
+    "--out", "folder", type=click.Path(file_okay=False, path_type=Path), help="Folder for certificates.json and .html."
+)
 @json_option
 def certify_command(
-    scenes: tuple[str, ...], every: bool, boards: tuple[str, ...], file: Path | None, accept: bool, as_json: bool
+    scenes: tuple[str, ...],
+    every: bool,
+    boards: tuple[str, ...],
+    file: Path | None,
+    accept: bool,
+    jobs: int,
+    folder: Path | None,
+    as_json: bool,
 ) -> None:
-    """Measure the generated C of SCENE... on emulated boards, in both scalars: instructions of each function (not
-    cycles), flash, stack, symbols, errors; and hold them to budget.toml, with 3 % of slack."""
+    """Certify the generated C of SCENE... on emulated boards, in both scalars: instructions of each function (not
+    cycles), worst seen and proven, flash, stack, symbols, errors; and hold them to budget.toml, with 3 % of slack."""
     names = chosen(scenes, every)
-    work = [(name, board) for name in names for board in boards or ("cortex-m4",)]
+    where = BOARDS if "all" in boards else boards or ("cortex-m4",)
+    for board in where:
+        require_target(board)
     found: list[Certificate] = []
     over: list[str] = []
-    with progress(as_json) as advance:
-        for done, (name, board) in enumerate(work):
-            advance(done, len(work), f"{name} on {board}")
-            certificates = certify(load_scene(name), board)
+    with progress(as_json) as advance, ProcessPoolExecutor(jobs) as pool:
+        work = map(_certified, names, repeat(where)) if jobs == 1 else pool.map(_certified, names, repeat(where))
+        for done, (name, certificates) in enumerate(zip(names, work, strict=True), start=1):
+            advance(done, len(names), name)
             found += certificates
             path = file or scene_folder(name) / budget.FILE
             if accept:
                 budget.accept(path, certificates)
             over += [text for c in certificates for text in budget.exceeded(c, budget.read(path))]
     problems = [f"{c.prefix} on {c.target}: {text}" for c in found for text in c.problems] + over
+    result = {"passed": not problems, "problems": problems, "certificates": found}
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "certificates.json").write_text(json.dumps(to_jsonable(result), indent=2) + "\n")
+        (folder / "certificates.html").write_text(render_certificates(found, problems))
     if as_json:
-        emit_json({"passed": not problems, "problems": problems, "certificates": found})
+        emit_json(result)
     else:
         show(found, problems)
     raise click.exceptions.Exit(FAILED if problems else GOOD)
+
+
+def _certified(name: str, boards: tuple[str, ...]) -> list[Certificate]:
+    return certify(load_scene(name), boards)
 
 
 def show(found: list[Certificate], problems: list[str]) -> None:
@@ -72,15 +101,16 @@ def show(found: list[Certificate], problems: list[str]) -> None:
         right=(3, 4, 5, 6),
     )
     rows = [
-        (c.scene, c.scalar, c.target, e.name, e.instructions, e.instructions_mean, e.stack, f"{e.ulps:.3g}")
+        (c.scene, c.scalar, c.target, e.name, e.instructions, e.instructions_mean, e.bound, e.stack_seen, e.stack,
+         f"{e.ulps:.3g}")
         for c in found
         for e in c.entries
-    ]
+    ]  # fmt: skip
     table(
-        "Instructions of one call, the worst and the mean over the states; they are not cycles",
-        ("scene", "scalar", "board", "function", "worst", "mean", "stack", "ulps"),
+        "Instructions of one call (not cycles) and stack in bytes: seen over the states, and proven to be the most",
+        ("scene", "scalar", "board", "function", "worst", "mean", "proven", "stack", "proven", "ulps"),
         rows,
-        right=(4, 5, 6, 7),
+        right=(4, 5, 6, 7, 8, 9),
     )
     for text in problems:
         err.print(f"[bold red]FAILED:[/] {text}", soft_wrap=True)

@@ -18,7 +18,8 @@ from servogen.cli.console import (
     scenes_argument,
     table,
 )
-from servogen.scene.loading import load_scene
+from servogen.loading import load_scene
+from servogen.verify.campaign import VECTORS
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets
 from servogen.verify.truth import BAR
@@ -31,10 +32,17 @@ from servogen.verify.truth import BAR
 @click.option(
     "--states", type=click.IntRange(1), help=f"States drawn a scene; default {STATES}, fewer on small boards."
 )
+@click.option(
+    "--vectors",
+    type=click.IntRange(100),
+    default=VECTORS,
+    show_default=True,
+    help="States made on the board itself, answered by board and host bit for bit.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the states drawn.")
 @json_option
 def check_command(
-    scenes: tuple[str, ...], every: bool, target: str, states: int | None, seed: int, as_json: bool
+    scenes: tuple[str, ...], every: bool, target: str, states: int | None, vectors: int, seed: int, as_json: bool
 ) -> None:
     """Cross-check the generated C of SCENE... in float64 and float32 against reference and truth.
 
@@ -42,7 +50,7 @@ def check_command(
     """
     names = chosen(scenes, every)
     with progress(as_json) as advance:
-        report = check([load_scene(n) for n in names], target, states, seed, advance)
+        report = check([load_scene(n) for n in names], target, states, seed, advance, vectors)
     if as_json:
         emit_json({"passed": report.passed, "report": report})
     else:
@@ -85,11 +93,25 @@ def show(report: CheckReport) -> None:
             ],
             right=(4, 5, 6, 7),
         )
+    if report.campaigns:
+        table(
+            "Host against board, at states made on the target: one hash of all statuses, answers and infos",
+            ("scene", "scalar", "states", "hash", "statuses of the last function", ""),
+            [
+                (c.scene, c.scalar, c.vectors, c.hash.split("-")[-1], _counted(c.statuses), c.problem or "ok")
+                for c in report.campaigns
+            ],
+            right=(2,),
+        )
     for text in report.skipped:
         complain("SKIPPED", text)
     for text in report.problems:
         complain("FAILED", text)
     out.print("[bold green]check passed[/]" if report.passed else "[bold red]check failed[/]")
+
+
+def _counted(statuses: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in statuses.items())
 
 
 def _alike(outputs: Sequence[OutputCheck]) -> list[list[OutputCheck]]:

@@ -7,11 +7,11 @@ import click
 
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_solver
+from servogen.loading import builtin_names, builtin_summary, load_scene
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
-from servogen.scene.loading import builtin_names, builtin_summary, load_scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.scalars import EPSILON, Scalar
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."

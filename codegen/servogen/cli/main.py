@@ -1,21 +1,22 @@
 """`servogen`: the command."""
 
 import sys
+from typing import NoReturn
 
 import click
 
 from servogen.cli.bench import bench_command
 from servogen.cli.certify import certify_command
 from servogen.cli.check import check_command
-from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, show_warnings
+from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, emit_json, show_warnings
 from servogen.cli.generate import generate, list_scenes, solver
 from servogen.cli.report import report_command
 from servogen.cli.simulate import simulate_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
+from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompilerRefused
 from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
-from servogen.verify.tools import ToolMissing
 from servogen.version import VERSION
 
 
@@ -44,7 +45,7 @@ for command in (
 
 
 def main() -> None:
-    """Run the command; wrong input ends in one line and exit code 2."""
+    """Run the command; wrong input ends in one line (with --json in one object) and exit code 2."""
     show_warnings()
     try:
         # without its standalone mode click hands back the code of click.exceptions.Exit
@@ -52,18 +53,27 @@ def main() -> None:
     except click.Abort:
         sys.exit(130)
     except click.ClickException as error:
-        error.show()
-        sys.exit(WRONG_INPUT)
-    except (SceneError, ToolMissing) as error:
-        complain("error", str(error))
-        sys.exit(WRONG_INPUT)
-    except (VectorsTooLarge, OSError) as error:
-        complain("error", str(error))
-        sys.exit(WRONG_INPUT)
+        if not _as_json():
+            error.show()
+        _end(error.format_message(), WRONG_INPUT, said=not _as_json())
+    except (SceneError, ToolMissing, VectorsTooLarge, OSError) as error:
+        _end(str(error), WRONG_INPUT)
     except (HarnessBuildError, CompilerRefused) as error:
-        complain("error", str(error))
-        sys.exit(FAILED)
+        _end(str(error), FAILED)
     sys.exit(code if isinstance(code, int) else GOOD)
+
+
+def _as_json() -> bool:
+    """Whether the user asked for JSON: known before, and even where, the arguments cannot be read."""
+    return "--json" in sys.argv[1:]
+
+
+def _end(message: str, code: int, said: bool = False) -> NoReturn:
+    if _as_json():
+        emit_json({"error": message})
+    elif not said:
+        complain("error", message)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from servogen.cli.console import (
 )
 from servogen.report.collect import collect
 from servogen.report.page import render_page
+from servogen.tools import ToolMissing
 from servogen.verify.harness import require_target
-from servogen.verify.tools import ToolMissing
 
 BOARD = "cortex-m4"
 

@@ -10,14 +10,15 @@ import numpy as np
 from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
 from servogen.cli.generate import scalar_option
 from servogen.errors import SceneError
+from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
-from servogen.scene.loading import load_simulation
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.simulation import METHODS
-from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.trajectory import Trajectory, rows_that_differ
+from servogen.verify.harness import targets
 
 
 @click.command("simulate")
@@ -26,6 +27,13 @@ from servogen.simulate.trajectory import Trajectory
 @click.option("--duration", type=float, help="Seconds; default as in the scene's file, else 10.")
 @click.option("--step", type=float, help="Seconds between rows; default as in the scene's file, else 0.001.")
 @click.option("--method", type=click.Choice(METHODS), help="Of the integration; default as in the scene's file.")
+@click.option(
+    "--target",
+    type=click.Choice(targets()),
+    default="host",
+    show_default=True,
+    help="Where the loop runs; on a board the rows are also held to the host's, bit for bit.",
+)
 @click.option("--hold", is_flag=True, help="One tick of the controller a step, tau held in between, as in firmware.")
 @click.option(
     "--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1."
@@ -44,6 +52,7 @@ def simulate_command(
     duration: float | None,
     step: float | None,
     method: str | None,
+    target: str,
     hold: bool,
     start: Sequence[str],
     references: Sequence[str],
@@ -56,35 +65,42 @@ def simulate_command(
     """Run SCENE in closed loop: its controller and its plant, both generated C, by fixed steps.
 
     Where it starts, how long it runs, what is drawn and what stops it comes from the variable `simulation`
-    (sg.Simulation) of the scene's file. Exit code 1 where a negative status ended the run.
+    (sg.Simulation) of the scene's file. Exit code 1 where a negative status ended the run, or where a board's rows are
+    not the host's.
     """
     loaded, simulation = load_simulation(scene)
     folder = out or Path("simulation") / loaded.name
     with progress(as_json) as advance:
         advance(0, 1, f"{loaded.name}: compiling")
-        loop = ClosedLoop(loaded, simulation, scalar)
-        trajectory = loop.run(
-            start=_assignments(start, "--start"),
-            duration=duration,
-            step=step,
-            references=_assignments(references, "--reference"),
-            parameters=_assignments(parameters, "--parameter"),
-            hold=hold,
-            method=method,
-            project=not no_project,
-            progress=lambda done, total: advance(done, total, f"{loaded.name}: steps"),
+        given: dict[str, Any] = {
+            "start": _assignments(start, "--start"),
+            "duration": duration,
+            "step": step,
+            "references": _assignments(references, "--reference"),
+            "parameters": _assignments(parameters, "--parameter"),
+            "hold": hold,
+            "method": method,
+            "project": not no_project,
+        }
+        trajectory = ClosedLoop(loaded, simulation, scalar).run(
+            **given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps")
         )
+        differing = 0
+        if target != "host":
+            advance(0, 1, f"{loaded.name}: the same on {target}")
+            here, trajectory = trajectory, ClosedLoop(loaded, simulation, scalar, target=target).run(**given)
+            differing = rows_that_differ(here, trajectory)
         advance(0, 1, f"{loaded.name}: writing")
         folder.mkdir(parents=True, exist_ok=True)
         files = [write_csv(trajectory, folder / f"{loaded.name}.csv")]
         if not no_plots and len(trajectory.t):
             files += write_plots(loaded, simulation, trajectory, folder)
-    summary = _summary(trajectory, scalar)
+    summary = _summary(trajectory, scalar) | {"target": target, "rows_unlike_the_hosts": differing}
     if as_json:
         emit_json(summary | {"files": files})
     else:
         _show(trajectory, summary, files)
-    click.get_current_context().exit(FAILED if trajectory.stop.failed else GOOD)
+    click.get_current_context().exit(FAILED if trajectory.stop.failed or differing else GOOD)
 
 
 def _assignments(given: Sequence[str], option: str) -> dict[str, list[float]]:
@@ -149,6 +165,10 @@ def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Pa
     out.print(
         f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
     )
+    if summary["target"] != "host":
+        differing = summary["rows_unlike_the_hosts"]
+        same = "bit for bit the host's" if not differing else f"[bold red]{differing} unlike the host's[/]"
+        out.print(f"  run on {summary['target']}: rows {same}")
     psi = trajectory.constraint_name
     out.print(f"  {psi} off its prescribed decay by at most {summary['constraint_error']:.3g}", markup=False)
     for name, error in summary["decay_error"].items():

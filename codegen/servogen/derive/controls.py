@@ -1,5 +1,7 @@
 """Controls-involved servo-constraints: A tau' = B, Eqs. (36)-(41)."""
 
+from typing import Any
+
 import casadi as ca
 
 from servogen.derive.formulation import Formulation, Quantity
@@ -21,10 +23,11 @@ def derive_controls(scene: Scene) -> Formulation:
         phi.append(c.phi)
         # every term of Eq. (40) is one directional derivative along the motion
         B.append(ca.mtimes(c.Theta, c.phi) - rate(scene, c.phi, f"constraint {c.name!r}", u_dot))
+    phi = ca.vertcat(*phi)
     damped = any(not c.Theta.is_zero() for c in scene.constraints if isinstance(c, ControlsInvolved))
-    A = ca.jacobian(ca.vertcat(*phi), mech.tau)
+    A = ca.jacobian(phi, mech.tau)
     quantities = [
-        Quantity("phi", ca.vertcat(*phi), "Eq. (36)", "phi(q, u, tau, t)"),
+        Quantity("phi", phi, "Eq. (36)", "phi(q, u, tau, t)"),
         Quantity("A", A, "Eq. (39)", "phi_tau"),
         Quantity(
             "B",
@@ -36,4 +39,17 @@ def derive_controls(scene: Scene) -> Formulation:
     ]
     weight = weigh(scene)
     quantities += free_quantities(scene, A, "A", "Eq. (54)", weight)
-    return Formulation(scene, tuple(quantities), mass, affine_in_tau=not ca.depends_on(A, mech.tau), weight=weight)
+    bends, places = curvature(phi, mech.tau)
+    if places:
+        quantities.append(Quantity("curvature", bends, "Eq. (36)", "phi_tau_tau, its nonzeros"))
+    return Formulation(scene, tuple(quantities), mass, weight=weight, curvature=places)
+
+
+def curvature(phi: Any, tau: Any) -> tuple[Any, tuple[tuple[int, int, int], ...]]:
+    """Second derivatives of phi by tau that are not structurally zero, a column, and (row of phi, i, j <= i) of each."""
+    bends, places = [], []
+    for row in range(phi.size1()):
+        H = ca.tril(ca.sparsify(ca.hessian(phi[row], tau)[0]))
+        places += [(row, i, j) for i, j in zip(*H.sparsity().get_triplet(), strict=True)]
+        bends += H.nonzeros()
+    return ca.vertcat(*bends), tuple(places)

@@ -3,7 +3,7 @@
 from servogen.derive.controls import derive_controls
 from servogen.derive.formulation import Formulation
 from servogen.derive.ideal import derive_ideal
-from servogen.derive.reach import check_reach
+from servogen.derive.reach import check_finite, check_reach
 from servogen.derive.servo import derive_servo
 from servogen.scene.scene import Scene
 
@@ -13,5 +13,6 @@ _DERIVATIONS = {"servo": derive_servo, "ideal": derive_ideal, "controls": derive
 def derive(scene: Scene) -> Formulation:
     """The scene's system and what belongs to it. SceneError for a singular Q or a constraint without effect."""
     formulation = _DERIVATIONS[scene.kind](scene)
+    check_finite(formulation)
     check_reach(formulation)
     return formulation

@@ -45,32 +45,21 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """S tau = z, G tau = R or A tau' = B with what belongs to it; `system` names the two, `constraint` psi or phi."""
+    """The quantities of the scene's linear system and what belongs to it.
+
+    curvature: the (row of phi, i, j) of each entry of the quantity of that name; empty where phi is affine in tau.
+    """
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
-    affine_in_tau: bool = True
     weight: Weight | None = None
-
-    @property
-    def system(self) -> tuple[str, str]:
-        """The matrix and the right side as the paper names them; R is no quantity, it takes a solve of its own."""
-        return {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
+    curvature: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def factorised(self) -> str:
         """The matrix the solver gets: the system's own, or that times L^-T where there is a weight."""
-        return self.system[0] if self.weight is None else f"{self.system[0]}_w"
-
-    @property
-    def reach(self) -> str:
-        """The matrix none of whose rows may vanish identically: a constraint's way to the controls."""
-        return "J" if self.scene.kind == "ideal" else self.system[0]
-
-    @property
-    def constraint(self) -> str:
-        return "phi" if self.scene.kind == "controls" else "psi"
+        return self.scene.system.matrix if self.weight is None else f"{self.scene.system.matrix}_w"
 
     def __getitem__(self, name: str) -> Any:
         """The SX of the quantity of that name."""

@@ -34,15 +34,13 @@ def lower_model(scene: Scene) -> Program:
 
 def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:
     """Every parameter and input the scene may have, tau included, with its symbol."""
-    assert scene.parameters is not None
     inputs = [(Input(f.name, f.size, "parameter"), f.symbol) for f in scene.parameters]
     inputs += [(Input(f.name, f.size), f.symbol) for f in scene.input_fields()]
-    if scene.kind != "controls":  # the plant takes tau, and so may a servo scene's program
+    if not scene.system.tau_is_state:  # the plant takes tau, and so may a servo scene's program
         inputs.append((Input("tau", scene.controls), scene.mechanism.tau))
     return inputs
 
 
 def parameter_defaults(scene: Scene) -> dict[str, list[float]]:
     """name -> default values, as inputs of the program."""
-    assert scene.parameters is not None
     return {f.name: list(f.default) for f in scene.parameters}

@@ -42,7 +42,6 @@ def sample(scene: Scene, expression: Any, count: int = _SAMPLES) -> FloatArray:
     The first quarter of the sets are the defaults; the others lie between half and twice of them, for parameters
     change at run time.
     """
-    assert scene.parameters is not None
     fields = scene.input_fields()
     symbols = [f.symbol for f in fields] + [f.symbol for f in scene.parameters]
     states = draw_states(scene, count)

@@ -1,4 +1,7 @@
-"""Do the constraints reach the controls? Rows of S (or A) that vanish identically, or can never be independent."""
+"""Are the constraints numbers, and do they reach the controls?
+
+Found are values that exist nowhere, and rows of S (or A) that vanish identically or can never be independent.
+"""
 
 import warnings
 
@@ -6,12 +9,14 @@ import numpy as np
 
 from servogen.derive.formulation import Formulation
 from servogen.derive.lower import lower_quantities, parameter_defaults
+from servogen.derive.mass import sample
 from servogen.errors import SceneError
 from servogen.ir.evaluate import evaluate
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
+from servogen.scene.constraints import expression_of
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
@@ -23,7 +28,7 @@ def check_reach(formulation: Formulation) -> None:
 
     A row is identically zero when it is within its own rounding error of zero at every state drawn.
     """
-    scene, name = formulation.scene, formulation.reach
+    scene, name = formulation.scene, formulation.scene.system.reach
     labels = _row_labels(scene)
     quantities = [q for q in formulation.quantities if q.name == name]
     program = number_values(optimise(lower_quantities(scene, quantities)))
@@ -42,6 +47,17 @@ def check_reach(formulation: Formulation) -> None:
             )
     if scene.rows <= formulation[name].size2():
         _warn_of_dependence(name, labels, values)
+
+
+def check_finite(formulation: Formulation) -> None:
+    """SceneError naming the constraint, or else the quantity, that is a finite number at no state drawn."""
+    scene = formulation.scene
+    symbol = scene.system.constraint
+    named = [(f"constraint {c.name!r}: {symbol}", expression_of(c)) for c in scene.constraints]
+    named += [(q.name, q.expression) for q in formulation.quantities if q.name not in (symbol, scene.system.reach)]
+    for what, expression in named:
+        if not np.any(np.all(np.isfinite(sample(scene, expression)), axis=(1, 2))):
+            raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
 
 
 def _row_labels(scene: Scene) -> list[str]:

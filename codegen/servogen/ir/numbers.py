@@ -1,8 +1,16 @@
-"""Exact values as numbers of the target type."""
+"""Between exact values, numbers of many digits and numbers of the target type."""
 
 from fractions import Fraction
 
+import mpmath as mp
 import numpy as np
+
+
+def as_fraction(number: mp.mpf) -> Fraction:
+    """The exact value of a finite mpf, all its bits kept."""
+    sign, mantissa, exponent, _ = number._mpf_
+    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return -magnitude if sign else magnitude
 
 
 def nearest(value: Fraction | float, scalar: str) -> float:

@@ -16,7 +16,7 @@ from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.results import FloatArray
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.scalars import EPSILON, Scalar
 
 Entry = tuple[str, int]
 """An output's name and the number of its entry."""

@@ -5,6 +5,7 @@ from fractions import Fraction
 import mpmath as mp
 
 from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import as_fraction
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Output, Program
 
@@ -200,6 +201,4 @@ def _constant_value(op: str, operands: list[Fraction]) -> Fraction | None:
             return None
         if not isinstance(rounded, mp.mpf) or not mp.isfinite(rounded):
             return None
-        sign, mantissa, exponent, _ = rounded._mpf_
-        magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
-        return -magnitude if sign else magnitude
+        return as_fraction(rounded)

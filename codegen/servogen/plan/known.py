@@ -6,13 +6,13 @@ from typing import Any
 import flint
 import numpy as np
 
+from servogen import exact
 from servogen.ir.program import Program
+from servogen.plan import textbook_solver
 from servogen.plan.module import Kernel, Known, Result
 from servogen.plan.solver import Operations, SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.results import Status
-from servogen.twins import textbook_solver
-from servogen.verify import exact
 
 
 def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | None:

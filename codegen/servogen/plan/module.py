@@ -9,7 +9,8 @@ from servogen.ir.program import Program
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
-from servogen.scene.solver import Scalar
+from servogen.scalars import Scalar
+from servogen.scene.system import System
 
 
 @dataclass(frozen=True)
@@ -105,15 +106,16 @@ class Reaction:
 class ControlPlan:
     """control, and for controls-involved scenes project and step.
 
-    system: the matrix and the right side as the paper names them. matrix: what the solver gets for the first (S_w where
-    there is a weight). y: None, "expression" (from the kernel, by the name `free`) or "input".
+    system: the names. matrix: what the solver gets for system.matrix (S_w where there is a weight).
+    y: None, "expression" (from the kernel, by the name `free`) or "input".
     recover: with a weight, per row of L^-T the (place in the kernel's `recover`, column) of its nonzeros.
     known: the matrix does not depend on the state. reaction: the right side is that of ideal control forces.
-    projection: the kernel of phi and A where project and step are asked for; affine: one iteration is exact.
+    projection: the kernel of phi, A and, where phi is not affine in tau, its second derivatives by tau, where project
+    and step are asked for. curvature: the (row of phi, i, j <= i) of each of these.
     """
 
     kernel: Kernel
-    system: tuple[str, str]
+    system: System
     matrix: str
     y: str | None
     free: str = "y"
@@ -122,6 +124,7 @@ class ControlPlan:
     reaction: Reaction | None = None
     projection: Kernel | None = None
     projection_cap: int = 0
+    curvature: tuple[tuple[int, int, int], ...] = ()
 
 
 @dataclass(frozen=True)

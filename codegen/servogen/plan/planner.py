@@ -9,7 +9,6 @@ from servogen.derive.ideal import REACTION
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
-from servogen.optimise.for_scene import SceneProgram
 from servogen.plan.chunks import split
 from servogen.plan.known import plan_known
 from servogen.plan.mathematics import Math, pair_angles
@@ -26,12 +25,17 @@ from servogen.plan.module import (
 )
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field
+from servogen.scene_program import SceneProgram
 
 PROJECTION_CAP = 25
 """Iterations of project where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
+
+AFFINE_CAP = 2
+"""Iterations of project where it is: one is exact, another takes back the rounding of a start far away."""
 
 
 def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> Module:
@@ -39,15 +43,14 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     scene, program = formulation.scene, optimised.program
     staged = stage(program)
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
-    matrix, right = formulation.system
-    constraint = formulation.constraint
-    names = (constraint, "T", "F") if scene.kind == "ideal" else (constraint, matrix, right)
+    system = scene.system
+    names = (system.constraint, "T", "F") if scene.kind == "ideal" else (system.constraint, system.matrix, system.right)
     entry_points = [EntryPoint(name, cutter.kernel(name)) for name in names]
     if scene.kind != "ideal":
-        entry_points.append(EntryPoint(f"{matrix}_{right}", cutter.kernel(matrix, right)))
+        entry_points.append(EntryPoint(f"{system.matrix}_{system.right}", cutter.kernel(system.matrix, system.right)))
     solver = dataclasses.replace(plan_solver(*scene.system_shape, target.scalar, scene.solver), root=_root(target))
     control = _plan_control(formulation, staged, cutter, solver)
-    always = ({"tau"} if scene.kind == "controls" else set()) | ({"y"} if control.y == "input" else set())
+    always = ({"tau"} if system.tau_is_state else set()) | ({"y"} if control.y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
     return Module(
         scene=scene.name,
@@ -72,9 +75,9 @@ def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", s
     weight = formulation.weight
     free = "y" if weight is None else "y_w"
     y = None if scene.y is None else "input" if isinstance(scene.y, str) and weight is None else "expression"
-    known = plan_known(staged, cutter.result(matrix), solver) if scene.kind != "controls" else None
+    known = plan_known(staged, cutter.result(matrix), solver) if not scene.system.tau_is_state else None
     reaction = None
-    right: tuple[str, ...] = (formulation.system[1],)
+    right: tuple[str, ...] = (scene.system.right,)
     if scene.kind == "ideal":
         right = REACTION
         planned = plan_solver(scene.rows, scene.rows, solver.scalar, _reaction_solver(scene.solver))
@@ -86,10 +89,13 @@ def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", s
     kernel = cutter.kernel(*names)
     if known is not None and known.kernel is not None:
         cutter.add(known.kernel)
-    projection = cutter.kernel(formulation.constraint, formulation.system[0]) if scene.kind == "controls" else None
-    cap = 0 if projection is None else 1 if formulation.affine_in_tau else PROJECTION_CAP
+    curvature = formulation.curvature
+    bends = ("curvature",) if curvature else ()
+    system = scene.system
+    projection = cutter.kernel(system.constraint, system.matrix, *bends) if system.tau_is_state else None
+    cap = 0 if projection is None else PROJECTION_CAP if curvature else AFFINE_CAP
     pattern = weight.pattern if weight is not None else ()
-    return ControlPlan(kernel, formulation.system, matrix, y, free, pattern, known, reaction, projection, cap)
+    return ControlPlan(kernel, system, matrix, y, free, pattern, known, reaction, projection, cap, curvature)
 
 
 def _reaction_solver(solver: Solver) -> Solver:
@@ -116,7 +122,7 @@ def plan_functions(
     cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
-    fields = scene.input_fields() if scene.kind == "controls" else (*scene.input_fields(), tau)
+    fields = scene.input_fields() if scene.system.tau_is_state else (*scene.input_fields(), tau)
     return Module(
         scene=scene.name,
         target=target,
@@ -140,7 +146,6 @@ def _root(target: Target) -> str:
 
 def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
-    assert scene.parameters is not None
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()
@@ -193,12 +198,10 @@ def _struct_field(f: Field) -> StructField:
 
 
 def _parameters(scene: Scene) -> tuple[StructField, ...]:
-    assert scene.parameters is not None
     return tuple(_struct_field(f) for f in scene.parameters)
 
 
 def _model(scene: Scene, staged: Staged) -> tuple[StructField, ...]:
-    assert scene.parameters is not None
     known = {f.name: f for f in scene.parameters}
     fields = []
     for i in staged.tick.inputs:
@@ -240,7 +243,7 @@ def _skipped(
     if early:
         system.append(f"{early} operations of parameters alone: done once, in prepare")
     system += optimised.remarks
-    matrix, right = formulation.system
+    matrix, right = scene.system.matrix, scene.system.right
     parts_of = (
         {} if scene.kind == "ideal" else {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
     )

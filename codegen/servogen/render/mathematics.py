@@ -16,7 +16,7 @@ from typing import Any
 
 import mpmath as mp
 
-from servogen.ir.numbers import nearest
+from servogen.ir.numbers import as_fraction, nearest
 from servogen.render.literals import literal
 
 SCALARS = ("float64", "float32")
@@ -133,8 +133,7 @@ def math_context(scalar: str) -> dict[str, Any]:
 def _half_pi() -> Fraction:
     """pi/2 to 1500 bits."""
     with mp.workprec(1500):
-        _, mantissa, exponent, _ = (mp.pi / 2)._mpf_
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+        return as_fraction(mp.pi / 2)
 
 
 def _bits(value: float, scalar: str) -> int:

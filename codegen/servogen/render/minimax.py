@@ -2,12 +2,11 @@
 `mathematics.py` and prints them with their errors. A test repeats it."""
 
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from typing import Any
 
 import mpmath as mp
 
-from servogen.ir.numbers import nearest
+from servogen.ir.numbers import as_fraction, nearest
 from servogen.render.mathematics import SCALARS, TERMS
 
 Function = Callable[[Any], Any]
@@ -106,7 +105,7 @@ def derive(name: str, scalar: str) -> tuple[float, ...]:
         target, weight = TARGETS[name]
         for done in range(TERMS[scalar]):
             exact = minimax(target, weight, TERMS[scalar] - done, high())
-            found.append(nearest(_fraction(exact[0]), scalar))
+            found.append(nearest(as_fraction(exact[0]), scalar))
             target, weight = _next(target, weight, mp.mpf(found[-1]))
     return tuple(found)
 
@@ -114,12 +113,6 @@ def derive(name: str, scalar: str) -> tuple[float, ...]:
 def _next(target: Function, weight: Function, first: Any) -> tuple[Function, Function]:
     """What is left to approximate once the lowest coefficient is fixed."""
     return lambda z: (target(z) - first) / z, lambda z: weight(z) * z
-
-
-def _fraction(value: Any) -> Any:
-    sign, mantissa, exponent, _ = value._mpf_
-    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
-    return -magnitude if sign else magnitude
 
 
 def main() -> None:

@@ -32,10 +32,10 @@ class SourceFile:
 
 
 @cache
-def environment() -> Environment:
-    """Templates of servogen; a name that is not defined is an error."""
+def environment(folder: str = "render") -> Environment:
+    """The C templates in servogen/<folder>/templates; a name that is not defined is an error."""
     templates = Environment(
-        loader=PackageLoader("servogen.render", "templates"),
+        loader=PackageLoader("servogen", f"{folder}/templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -96,6 +96,7 @@ def _context(module: Module) -> dict[str, Any]:
         "emit": _emitted(module),
         "info_type": f"{module.target.prefix}_info",
         "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
+        "unchecked": _unchecked(module),
         "scene_y": _scene_y(module),
     }
 
@@ -108,13 +109,21 @@ def _shim(module: Module) -> dict[str, Any]:
         {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
         for k, (struct, f) in enumerate(fields)
     ]
-    return {"arguments": arguments, "answer": "tau_dot" if module.control.system[0] == "A" else "tau"}
+    return {"arguments": arguments, "answer": module.control.system.answer}
 
 
 def _emitted(module: Module) -> dict[str, bool]:
     """Which functions of the solver the package calls; no other is printed."""
     known = module.control is not None and module.control.known is not None
     return {"solve": not known, "pinv": True, "known": known}
+
+
+def _unchecked(module: Module) -> list[Any]:
+    """The kernels that their one caller checks itself."""
+    control = module.control
+    if control is None:
+        return []
+    return [control.known.kernel if control.known else None, control.projection if control.curvature else None]
 
 
 def _scene_y(module: Module) -> str | None:
@@ -216,7 +225,7 @@ def _entry_points(module: Module, solver_counts: dict[str, Any] | None) -> dict[
         points["project"] = {
             "operations": control.projection.program.operations(),
             "solver_operations": solver_counts,
-            "skipped": ["iteration: phi is affine in tau"] if control.projection_cap == 1 else [],
+            "skipped": ["iteration: phi is affine in tau"] if not control.curvature else [],
         }
         points["step"] = {
             "operations": _sum(control.kernel.program.operations(), control.projection.program.operations()),

@@ -1,6 +1,7 @@
 """Everything the page shows, computed: generation, cross-check, closed loop, run time against error."""
 
 import base64
+import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,22 +9,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench
 from servogen.bench.run import bench
 from servogen.compiler import build, optimised_scene
+from servogen.derive.formulation import Quantity
+from servogen.derive.lower import lower_quantities
+from servogen.ir.program import Program
+from servogen.loading import builtin_names, builtin_summary, load_simulation
+from servogen.optimise.passes import optimise
 from servogen.package import Package
+from servogen.report.equations import Equations, equations
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
-from servogen.scene.constraints import expression_of, theta_parts
-from servogen.scene.loading import builtin_names, builtin_summary, load_simulation
+from servogen.report.sparsity import kinds, picture
+from servogen.scalars import EPSILON
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
-from servogen.simulate.precision import draw_precision, measure
+from servogen.simulate.precision import Precision, draw_precision, measure
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
 from servogen.verify.check import CheckReport, check
@@ -47,17 +55,18 @@ class SceneReport:
     summary: str
     scene: Scene
     manifests: dict[str, dict[str, Any]]  # by scalar
-    quantities: tuple[tuple[str, str, str, str], ...]  # name, shape, equation, formula
-    constraints: tuple[tuple[str, str, str], ...]  # name, kind, the expression and its Theta as written
-    patterns: tuple[tuple[str, list[list[bool]]], ...]  # name of a matrix, and where it is not identically zero
+    equations: Equations
+    patterns: tuple[tuple[str, str], ...]  # a matrix with its shape, and an SVG of what its entries are
     mass: str
     call: str
     trajectory: Trajectory
+    ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
     decay_error: dict[str, float]
     motion: tuple[Figure, ...]
-    bench: Bench | None
-    speed: Figure | None
+    bench: Bench
+    speed: Figure
     precision: Figure
+    single: str  # what single precision costs in closed loop
     folder: str
 
 
@@ -131,52 +140,68 @@ def _scene_report(
     write_csv(trajectory, own / "trajectory.csv")
     pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
     say(f"{scene.name}: run time against error")
-    measured = None
-    if scene.kind != "ideal":
-        measured = bench_peers(spec, rounds=rounds) if peers else bench(scene, rounds=rounds)
-    drawn = next(p for p in draw(measured, own) if p.suffix == ".svg") if measured else None
+    measured = bench_peers(spec, rounds=rounds) if peers else bench(scene, rounds=rounds)
+    drawn = next(p for p in draw(measured, own) if p.suffix == ".png")
     say(f"{scene.name}: step size, method and scalar against error")
     duration = min(2.0, 0.5 * trajectory.stop.t)
     steps = [duration / n for n in (20, 40, 80, 160, 320, 640, 1280)]
-    precision = draw_precision(scene.name, duration, measure(scene, simulation, duration, steps), own / "precision")
-    formulation, _ = optimised_scene(scene)
+    points = measure(scene, simulation, duration, steps)
+    precision = draw_precision(scene.name, duration, points, own / "precision")
+    formulation, optimised = optimised_scene(scene)
     return SceneReport(
         name=scene.name,
         summary=builtin_summary(spec) if spec in builtin_names() else f"From {Path(spec).name}.",
         scene=scene,
         manifests={scalar: package.manifest for scalar, package in packages.items()},
-        quantities=tuple(
-            (q.name, f"{q.expression.size1()}×{q.expression.size2()}", q.equation, q.formula)
-            for q in formulation.quantities
-        ),
-        constraints=tuple(_constraint(c) for c in scene.constraints),
-        patterns=(_pattern("Q", scene.mechanism.Q), _pattern(formulation.reach, formulation[formulation.reach])),
+        equations=equations(scene, formulation, packages["float64"].module),
+        patterns=_patterns(scene, optimised.program),
         mass=formulation.mass.reason,
         call=_call(packages["float64"]),
         trajectory=trajectory,
+        ending=_ending(trajectory, simulation),
         decay_error={n: _relative(trajectory.outputs[n], ideal) for n, ideal in trajectory.decay.items()},
         motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
         bench=measured,
-        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error") if drawn else None,
+        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error"),
         precision=Figure(_data_uri(precision), f"{scene.name}: closed loop, run time against error"),
+        single=_single(points, duration),
         folder=scene.name,
     )
 
 
-def _constraint(constraint: Any) -> tuple[str, str, str]:
-    """A constraint in CasADi's words, cut where it is long."""
-    texts = {"psi" if hasattr(constraint, "psi") else "phi": expression_of(constraint), **theta_parts(constraint)}
-    words = "; ".join(f"{name} = {_short(str(sx))}" for name, sx in texts.items())
-    return constraint.name, type(constraint).__name__, words
+def _patterns(scene: Scene, program: Program) -> tuple[tuple[str, str], ...]:
+    """Q as the user wrote it, zeros that cancel found; the matrix of the system (and J) as optimised."""
+    model = optimise(lower_quantities(scene, [Quantity("Q", scene.mechanism.Q, "", "")]))
+    names = dict.fromkeys((scene.system.matrix, scene.system.reach))
+    found = [(model, "Q"), *((program, name) for name in names)]
+    shown = ((name, kinds(p, name)) for p, name in found)
+    return tuple((f"{name}, {len(rows)}×{len(rows[0])}", picture(name, rows)) for name, rows in shown)
 
 
-def _short(text: str, length: int = 400) -> str:
-    return text if len(text) <= length else f"{text[:length]} ..."
+def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], ...]:
+    """Each margin in words: the reason first, then the numbers a reader wants beside it."""
+    last, largest = float(np.max(np.abs(run.tau[-1]))), float(np.max(np.abs(run.tau)))
+    rows = [
+        ("why the run ended", str(run.stop)),
+        ("smallest singular value", f"{run.sigma_min[-1]:.3g} at the end, never below {np.min(run.sigma_min):.3g}"),
+        ("largest control", f"{last:.3g} at the end, never above {largest:.3g}"),
+        ("rank", f"{run.rank[-1]} at the end, never below {np.min(run.rank)}"),
+    ]
+    rows += [(name, f"{v[-1]:.4g} at the end, {v[0]:.4g} at the start") for name, v in run.outputs.items()]
+    watched = ", ".join(simulation.events)
+    return (*rows, ("what would have ended it", watched or "nothing but the time"))
 
 
-def _pattern(name: str, matrix: Any) -> tuple[str, list[list[bool]]]:
-    rows, columns = matrix.shape
-    return name, [[not matrix[i, j].is_zero() for j in range(columns)] for i in range(rows)]
+def _single(points: Sequence[Precision], duration: float) -> str:
+    """The best of all step sizes and methods, in either scalar."""
+    best = {scalar: [p.error for p in points if p.scalar == scalar] for scalar in EPSILON}
+    if not all(best.values()):
+        return "In one of the two scalars no run came to its end."
+    double, single = min(best["float64"]), min(best["float32"])
+    return (
+        f"At best, whatever the step, q and u are off by {double:.2g} in float64 and by {single:.2g} in float32 after "
+        f"{duration:.3g} s. Where the curve of float32 turns back, smaller steps only add rounding."
+    )
 
 
 def _relative(values: Any, ideal: Any) -> float:
@@ -194,5 +219,8 @@ def _call(package: Package) -> str:
 
 
 def _data_uri(path: Path) -> str:
-    kind = {".png": "image/png", ".svg": "image/svg+xml"}[path.suffix]
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    """A PNG in a palette of 128 colours: a third of its bytes, and no difference to see in line drawings."""
+    small = io.BytesIO()
+    with Image.open(path) as drawn:
+        drawn.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"

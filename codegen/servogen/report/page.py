@@ -7,6 +7,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from servogen.bench.results import Bench, Measurement, Output
 from servogen.plan.module import mix_of
 from servogen.report.collect import Report
+from servogen.report.sparsity import COLOURS, WORDS
 from servogen.results import Status
 from servogen.verify.check import OutputCheck
 from servogen.verify.truth import BAR
@@ -33,6 +34,7 @@ def render_page(report: Report) -> str:
         bench_rows=_bench_rows,
         solver_text=_solver_text,
         statuses=_statuses,
+        legend=[(COLOURS[kind], words) for kind, words in WORDS.items()],
     )
 
 

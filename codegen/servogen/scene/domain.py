@@ -54,6 +54,8 @@ def _draw_by_user(scene: Scene, draw: Any, count: int, generator: np.random.Gene
                 raise SceneError(f"domain: the drawn {f.name!r} is no list of {f.size} numbers") from None
             if value.shape != (f.size,):
                 raise SceneError(f"domain: the drawn {f.name!r} has {value.size} entries; it must have {f.size}")
+            if not np.all(np.isfinite(value)):
+                raise SceneError(f"domain: the drawn {f.name!r} = {value.tolist()} is not finite; draw finite numbers")
             rows[f.name].append(value)
         if state:
             raise SceneError(f"domain: {next(iter(state))!r} was drawn but is no input of scene {scene.name!r}")

@@ -26,6 +26,7 @@ from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
+from servogen.scene.system import SYSTEMS, Kind, System
 
 State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
@@ -47,8 +48,8 @@ class Scene:
     name: str
     mechanism: Mechanism
     constraints: Sequence[Constraint]
-    parameters: Parameters | None = None
-    references: References | None = None
+    parameters: Parameters = field(default_factory=Parameters)
+    references: References = field(default_factory=References)
     y: Any = None
     weight: Any = None
     mode: Literal["servo", "ideal"] = "servo"
@@ -98,9 +99,14 @@ class Scene:
             )
 
     @property
-    def kind(self) -> Literal["servo", "ideal", "controls"]:
+    def kind(self) -> Kind:
         """Servo-constraints (S tau = z), ideal control forces (G tau = R) or controls-involved ones (A tau' = B)."""
         return "controls" if isinstance(self.constraints[0], ControlsInvolved) else self.mode
+
+    @property
+    def system(self) -> System:
+        """What the kind's linear system is called."""
+        return SYSTEMS[self.kind]
 
     @property
     def rows(self) -> int:
@@ -124,11 +130,10 @@ class Scene:
         fields = [_state_field("q", mech.q), _state_field("u", mech.u)]
         if mech.t is not None:
             fields.append(_state_field("t", mech.t))
-        if self.kind == "controls":
+        if self.system.tau_is_state:
             fields.append(_state_field("tau", mech.tau))
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
-        assert self.references is not None
         return (*fields, *self.references)
 
     @property
@@ -139,6 +144,12 @@ class Scene:
             cached = ca.SX.sym("y", self.controls)
             object.__setattr__(self, "_y_symbol", cached)
         return cached
+
+
+def check_scene(scene: object, what: str) -> None:
+    """SceneError unless it is a Scene; what: the function that was called."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f"{what}: give an sg.Scene; got {type(scene).__name__}")
 
 
 def _state_field(name: str, symbol: Any) -> Field:
@@ -210,9 +221,8 @@ def _check_kinds(scene: Scene) -> None:
         )
     for what in ("y", "weight"):
         value = getattr(scene, what)
-        if scene.kind != "controls" and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
+        if not scene.system.tau_is_state and isinstance(value, ca.SX) and ca.depends_on(value, mech.tau):
             raise SceneError(f"{what} depends on tau, which the scene solves for; make {what} a function of the inputs")
-    assert scene.parameters is not None
     parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
     for c in scene.constraints:
         for name, theta in theta_parts(c).items():
@@ -229,7 +239,6 @@ def _among(symbol: Any, symbols: Any) -> bool:
 
 
 def _check_names(scene: Scene) -> None:
-    assert scene.parameters is not None
     assert scene.references is not None
     references = {f.name for f in scene.references}
     for f in scene.parameters:
@@ -238,7 +247,6 @@ def _check_names(scene: Scene) -> None:
 
 
 def _check_symbols(scene: Scene) -> None:
-    assert scene.parameters is not None
     assert scene.references is not None
     mech = scene.mechanism
     owners: dict[int, str] = {}
@@ -275,7 +283,6 @@ def _check_operations(scene: Scene) -> None:
 
 def _check_theta_of_parameters(scene: Scene) -> None:
     """A Theta of parameters can only be judged at their defaults: warn there."""
-    assert scene.parameters is not None
     symbols = [f.symbol for f in scene.parameters]
     defaults = [ca.DM(f.default) for f in scene.parameters]
     for c in scene.constraints:

@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from servogen.errors import SceneError
 
-Scalar = Literal["float64", "float32"]
 
-EPSILON: dict[Scalar, float] = {"float64": 2.0**-52, "float32": 2.0**-23}
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -35,13 +37,13 @@ class Solver:
             raise SceneError(f"Solver(method={self.method!r}): choose 'auto' or 'svd'")
         if self.rank not in ("scaled", "raw"):
             raise SceneError(f"Solver(rank={self.rank!r}): choose 'scaled' or 'raw'")
-        if self.rtol is not None and not (math.isfinite(self.rtol) and 0 <= self.rtol < 1):
+        if self.rtol is not None and not (_is_number(self.rtol) and 0 <= self.rtol < 1):
             raise SceneError(f"Solver(rtol={self.rtol!r}): give a number from 0 up to but not including 1")
-        if self.damping is not None and not (math.isfinite(self.damping) and self.damping > 0):
+        if self.damping is not None and not (_is_number(self.damping) and self.damping > 0):
             raise SceneError(f"Solver(damping={self.damping!r}): give a positive number, or None for no damping")
         if self.atol is not None:
-            values = (self.atol,) if isinstance(self.atol, int | float) else tuple(self.atol)
-            if not all(math.isfinite(v) and v >= 0 for v in values):
-                raise SceneError(f"Solver(atol={self.atol!r}): give finite numbers, zero or above")
-            if not isinstance(self.atol, int | float):
+            values = tuple(self.atol) if isinstance(self.atol, list | tuple | np.ndarray) else (self.atol,)
+            if not values or not all(_is_number(v) and float(v) >= 0 for v in values):  # type: ignore[arg-type]
+                raise SceneError(f"Solver(atol={self.atol!r}): give a finite number, zero or above, or one per row")
+            if values != (self.atol,):
                 object.__setattr__(self, "atol", values)  # a tuple hashes and compares

@@ -22,6 +22,9 @@ class Parameter:
     unit: str = ""
     text: str = ""
 
+    def __post_init__(self) -> None:
+        _check_words(self.unit, self.text, "sg.Parameter")
+
 
 @dataclass(frozen=True)
 class Ref:
@@ -31,6 +34,11 @@ class Ref:
     order: int = 0
     unit: str = ""
     text: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.order, bool) or self.order not in (0, 1, 2):
+            raise SceneError(f"sg.Ref(order={self.order!r}): choose 0, 1 or 2, the number of rates that are inputs")
+        _check_words(self.unit, self.text, "sg.Ref")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +54,12 @@ class Field:
     @property
     def size(self) -> int:
         return len(self.default)
+
+
+def _check_words(unit: object, text: object, what: str) -> None:
+    for word, value in (("unit", unit), ("text", text)):
+        if not isinstance(value, str):
+            raise SceneError(f"{what}({word}={value!r}): give text")
 
 
 def _default(value: object, what: str) -> tuple[float, ...]:
@@ -111,8 +125,6 @@ class References:
         self._fields: dict[str, Field] = {}
         for name, given in defaults.items():
             ref = given if isinstance(given, Ref) else Ref(given)
-            if ref.order not in (0, 1, 2):
-                raise SceneError(f"reference {name!r}: order={ref.order!r}; choose 0, 1 or 2")
             default = _default(ref.default, f"reference {name!r}")
             chain = []
             for suffix, prime in zip(("", "_dot", "_ddot")[: ref.order + 1], ("", "'", "''"), strict=False):

@@ -14,8 +14,9 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.ideal import ideal_decay
 from servogen.simulate.simulation import (
     METHODS,
@@ -76,7 +77,8 @@ def simulate(
 class ClosedLoop:
     """A scene's controller and plant, both generated C, compiled together; run it as often as you like.
 
-    Raises SceneError for a simulation that does not fit the scene, ToolMissing without a C compiler.
+    target: "host", or a board, in whose emulator the whole loop then runs; the rows are the host's bit for bit.
+    Raises SceneError for a simulation that does not fit the scene, ToolMissing without a C compiler or emulator.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class ClosedLoop:
         simulation: Simulation | None = None,
         scalar: Scalar = "float64",
         compiler: str | None = None,
+        target: str = "host",
     ) -> None:
         if scalar not in EPSILON:
             raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
@@ -92,11 +95,13 @@ class ClosedLoop:
         self.simulation = simulation or Simulation()
         self.scalar = scalar
         check_simulation(scene, self.simulation)
-        with tempfile.TemporaryDirectory(prefix="servogen-loop-") as folder:
-            sources = write_loop(scene, self.simulation, Path(folder), scalar)
-            self._library = _compile(sources, scalar, compiler)
-        self._prefix = sources.controller.prefix
-        self._given = sources.given
+        self.target = target
+        self._folder = tempfile.TemporaryDirectory(prefix="servogen-loop-")
+        self._sources = write_loop(scene, self.simulation, Path(self._folder.name), scalar)
+        if target == "host":
+            self._library = _compile(self._sources, scalar, compiler)
+        self._prefix = self._sources.controller.prefix
+        self._given = self._sources.given
 
     def run(
         self,
@@ -144,7 +149,6 @@ class ClosedLoop:
         return duration, duration / steps, steps
 
     def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
-        assert self.scene.parameters is not None
         fields = {f.name: f for f in self.scene.parameters}
         for name in given:
             if name not in fields:
@@ -164,20 +168,25 @@ class ClosedLoop:
     ) -> tuple[FloatArray, Any, Stop]:
         sizes = self._sizes()
         dtype = np.dtype(self.scalar)
+        values = {
+            name: np.ascontiguousarray(np.concatenate([np.zeros(0), *arrays]), dtype)
+            for name, arrays in {
+                "parameters": list(parameters.values()),
+                **{name: [inputs[name]] for name in ("q", "u", "tau")},
+                "given": [inputs[f.name] for f in self._given],
+            }.items()
+        }
+        substeps = HOLD_SUBSTEPS if hold else 1
+        if self.target != "host":
+            start = Setup(values, step, substeps, steps, method, hold, project)
+            work = Path(self._folder.name) / "board"
+            rows, marks, (reason, detail, t) = run_on_board(self._sources, sizes, start, self.scalar, self.target, work)
+            return rows, marks, self._stop(reason, detail, t)
         rows = np.zeros((steps + 1, sum(sizes) + 2), dtype)
         marks = np.zeros((steps + 1, 2), np.int32)
         record = _Record(*sizes, steps + 1, 0, rows.ctypes.data, marks.ctypes.data)
-        flat = [
-            np.ascontiguousarray(np.concatenate([np.zeros(0), *arrays]), dtype)
-            for arrays in (
-                parameters.values(),
-                *([inputs[name]] for name in ("q", "u", "tau")),
-                (inputs[f.name] for f in self._given),
-            )
-        ]
         reals = _structs(self.scalar)
-        substeps = HOLD_SUBSTEPS if hold else 1
-        setup = reals.Setup(*(a.ctypes.data for a in flat), step, substeps, steps, method, hold, project)
+        setup = reals.Setup(*(a.ctypes.data for a in values.values()), step, substeps, steps, method, hold, project)
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
@@ -188,7 +197,7 @@ class ClosedLoop:
             if progress is not None:
                 progress(record.used - 1, steps)
             if reason != 0:
-                return rows[: record.used], marks[: record.used], self._stop(stop)
+                return rows[: record.used], marks[: record.used], self._stop(stop.reason, stop.detail, stop.t)
 
     def _call(self, name: str, *args: Any, restype: Any = ct.c_int) -> Any:
         function = getattr(self._library, f"{self._prefix}_{name}")
@@ -199,11 +208,11 @@ class ClosedLoop:
         mech = self.scene.mechanism
         return mech.q.size1(), mech.u.size1(), self.scene.controls, self.scene.rows
 
-    def _stop(self, stop: Any) -> Stop:
-        reason = _REASONS[stop.reason]
+    def _stop(self, number: int, detail: int, t: float) -> Stop:
+        reason = _REASONS[number]
         if reason == "event":
-            return Stop(reason, float(stop.t), self.simulation.events[stop.detail])
-        return Stop(reason, float(stop.t), "", Status(stop.detail))
+            return Stop(reason, float(t), self.simulation.events[detail])
+        return Stop(reason, float(t), "", Status(detail))
 
     def _trajectory(
         self,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from servogen.results import FloatArray
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.simulation import METHODS, Simulation, moving_references, start_values
 from servogen.simulate.trajectory import Trajectory
@@ -49,7 +49,7 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
     moving = moving_references(scene, simulation, t)
     course = ca.Function("course", [t], list(moving.values()))
     nq, nu = mech.q.size1(), mech.u.size1()
-    controls = scene.kind == "controls"
+    controls = scene.system.tau_is_state
 
     def rate(now: float, x: FloatArray) -> FloatArray:
         q, u = x[:nq], x[nq : nq + nu]
@@ -79,7 +79,7 @@ def measure(
 ) -> tuple[Precision, ...]:
     """Every step size with every method and scalar; runs that end early are left out."""
     loops = {scalar: ClosedLoop(scene, simulation, scalar) for scalar in scalars}
-    first = ClosedLoop(scene, simulation).run(duration=duration, step=duration)
+    first = next(iter(loops.values())).run(duration=duration, step=duration)
     end = tight_end(scene, simulation, duration, first)
     found = []
     for scalar, loop in loops.items():

@@ -50,13 +50,18 @@ class Simulation:
     method: str = "rk4"
 
     def __post_init__(self) -> None:
+        for what in ("start", "outputs", "decay", "stop", "references", "units"):
+            if not isinstance(getattr(self, what), Mapping):
+                raise SceneError(f"simulation: {what} = {getattr(self, what)!r}; give {{'name': ...}}")
         for what in ("outputs", "stop"):
             checked = {n: _scalar(e, f"simulation: {what}[{n!r}]") for n, e in getattr(self, what).items()}
             object.__setattr__(self, what, checked)
-        for name in ("sigma_min", "tau_max"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise SceneError(f"simulation: {name} = {value!r}; give a positive number, or None")
+        for name in ("duration", "step", "sigma_min", "tau_max"):
+            value, optional = getattr(self, name), name in ("sigma_min", "tau_max")
+            number = isinstance(value, int | float | np.integer | np.floating) and np.isfinite(value)
+            if not (number and value > 0) and not (value is None and optional):
+                remedy = "give a positive number" + (", or None" if optional else "")
+                raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -97,9 +102,8 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     """(name, SX symbol) of everything an output may use: parameters, inputs and tau."""
-    assert scene.parameters is not None
     fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
-    return fields if scene.kind == "controls" else [*fields, ("tau", scene.mechanism.tau)]
+    return fields if scene.system.tau_is_state else [*fields, ("tau", scene.mechanism.tau)]
 
 
 def moving_references(scene: Scene, simulation: Simulation, t: Any) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from servogen.derive.formulation import MassTreatment, Quantity
 from servogen.package import Package, write
 from servogen.plan.module import Module, StructField
 from servogen.render.render import environment, render
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.simulate.simulation import Simulation, moving_references
-from servogen.verify.harness import firmware_sim
+from servogen.tools import firmware_sim
 from servogen.version import VERSION
 
 
@@ -100,8 +100,8 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "servo": scene.kind != "controls",
-        "constraint": "phi" if scene.kind == "controls" else "psi",
+        "servo": not scene.system.tau_is_state,
+        "constraint": scene.system.constraint,
         "given": given,
         "given_count": sum(f["size"] for f in given),
         "offsets": {f["name"]: f["offset"] for f in parameters},
@@ -110,7 +110,7 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
         "nu": nu,
         "l": scene.controls,
         "m": scene.rows,
-        "states": nq + nu + (scene.controls if scene.kind == "controls" else 0),
+        "states": nq + nu + (scene.controls if scene.system.tau_is_state else 0),
     }
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray, Status
+from servogen.scene.system import SYSTEMS, Kind
 
 Reason = Literal["finished", "event", "controller", "plant", "stop expression", "reference"]
 
@@ -49,7 +50,7 @@ class Trajectory:
     """
 
     scene: str
-    kind: Literal["servo", "ideal", "controls"]
+    kind: Kind
     step: float
     hold: bool
     method: str
@@ -71,7 +72,7 @@ class Trajectory:
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:
-        return "phi" if self.kind == "controls" else "psi"
+        return SYSTEMS[self.kind].constraint
 
     @property
     def psi(self) -> FloatArray:
@@ -86,3 +87,14 @@ class Trajectory:
         if self.kind != "controls":
             raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
         return self.constraint
+
+
+def rows_that_differ(a: Trajectory, b: Trajectory) -> int:
+    """Rows in which two runs differ in any bit; those that only one of them has count too."""
+    fields = ("t", "q", "u", "tau", "constraint", "sigma_min", "status", "rank")
+    common = min(len(a.t), len(b.t))
+    unlike = np.zeros(common, bool)
+    for name in fields:
+        x, y = (np.ascontiguousarray(getattr(run, name)[:common].reshape(common, -1)) for run in (a, b))
+        unlike |= np.any(x.view(np.uint8) != y.view(np.uint8), axis=1) if common else unlike
+    return int(unlike.sum()) + abs(len(a.t) - len(b.t))

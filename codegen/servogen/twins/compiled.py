@@ -12,10 +12,10 @@ import numpy as np
 
 from servogen.plan.module import Module, Result, StructField
 from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
+from servogen.tools import ToolMissing
 from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, refusal
-from servogen.verify.tools import ToolMissing
 
 if TYPE_CHECKING:
     from servogen.package import Package
@@ -47,14 +47,18 @@ void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 """
 
 
+def stack_source(module: Module) -> str:
+    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
+    return _STACK.format(p=module.target.prefix, real=module.target.real, **_shape(module))
+
+
 def load_package(
     package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
 ) -> "CompiledTwin | CompiledSolver":
     """Compile and load. Raises ToolMissing without a C compiler, CompilerRefused with its words where it fails."""
     module = package.module
     if package.scene is None:
-        extra = _STACK.format(p=package.prefix, real=module.target.real, **_shape(module))
-        return CompiledSolver(module, compile_library(package, compiler, flags, extra))
+        return CompiledSolver(module, compile_library(package, compiler, flags, stack_source(module)))
     library = compile_library(package, compiler, flags)
     return _TWINS[package.scene.kind](package.scene, module, library)
 

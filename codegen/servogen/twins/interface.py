@@ -8,8 +8,8 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 
 
 class Twin(ABC):
@@ -33,7 +33,6 @@ class Twin(ABC):
 
     def prepare(self, **parameters: Any) -> Status:
         """Set the runtime parameters; those left out take their defaults. Negative: the model is as it was."""
-        assert self.scene.parameters is not None
         fields = {f.name: f for f in self.scene.parameters}
         values: dict[str, FloatArray] = {}
         for name, given in parameters.items():

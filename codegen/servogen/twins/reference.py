@@ -1,5 +1,6 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
+import math
 from typing import Any
 
 import casadi as ca
@@ -8,16 +9,17 @@ from scipy.linalg import qr
 
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
+from servogen.plan import textbook_solver
+from servogen.plan.planner import PROJECTION_CAP
 from servogen.plan.solver import plan_solver
 from servogen.results import Control, FloatArray, Info, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
-from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar, Solver
+from servogen.scene.scene import Scene, check_scene
+from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
-from servogen.twins import textbook_solver
 from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, finite, refusal
 
-_PROJECTION_CAP = 50
 _WITHOUT_MASS = {"psi", "phi", "A"}
 
 
@@ -26,6 +28,7 @@ def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
 
     For float32, inputs, parameters and results are rounded to it; the computation itself stays in float64.
     """
+    check_scene(scene, "sg.reference")
     kinds = {"servo": ReferenceServo, "ideal": ReferenceIdeal, "controls": ReferenceControls}
     return kinds[scene.kind](scene, scalar)
 
@@ -36,18 +39,36 @@ class ReferenceTwin(Twin):
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
         self._plan = plan_solver(*scene.system_shape, scalar, scene.solver)
         self._function, self._names = _jacobians(scene)
-        self._mass = _mass_of_parameters(scene)
+        self._fixed = set(self._names["fixed"])
+        self._parameters: dict[str, FloatArray] = {}
         super().__init__(scene, scalar)
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
         if not finite(rounded.values()):
             return Status.NONFINITE
-        if self._mass is not None:
-            Q = self._mass.call([ca.DM(rounded[f.name]) for f in self.scene.parameters or ()])[0]
-            if _singular(np.array(Q, dtype=float), EPSILON[self.scalar]):
-                return Status.SINGULAR_MASS
+        before = self._parameters
         self._parameters = rounded
+        status = self._of_parameters()
+        if status < 0:
+            self._parameters = before
+        return status
+
+    def _of_parameters(self) -> Status:
+        """What prepare finds in the matrices that no input changes: a singular Q, a weight or an S that does not exist.
+
+        Other values of parameters alone that overflow are told by the code in prepare, here when they are needed.
+        """
+        given = self.parts({f.name: np.array(f.default) for f in self.scene.input_fields()})
+        if "Q" in self._fixed and _singular(given["Q"], EPSILON[self.scalar]):
+            return Status.SINGULAR_MASS
+        if "weight" in self._fixed and not np.all(np.isfinite(_root(given["weight"]))):
+            return Status.OVERFLOW
+        if self.scene.kind == "servo" and {"J", "Q", "G"} <= self._fixed:
+            with np.errstate(all="ignore"):
+                S = given["J"] @ np.linalg.solve(given["Q"], given["G"])
+            if not finite([self._round(S)]):
+                return Status.OVERFLOW
         return Status.OK
 
     def _round(self, value: Any) -> FloatArray:
@@ -68,8 +89,11 @@ class ReferenceTwin(Twin):
         elif _singular(given["Q"], EPSILON[self.scalar]):
             return Status.SINGULAR_MASS, {}
         else:
-            with np.errstate(all="ignore"):
-                result = self._textbook(given, rounded)
+            try:
+                with np.errstate(all="ignore"):
+                    result = self._textbook(given, rounded)
+            except np.linalg.LinAlgError:  # a pivot underflowed to exactly zero
+                return Status.OVERFLOW, {}
         result = {n: result[n] for n in names or result}
         if not finite(self._round(v) for v in result.values()):
             return Status.OVERFLOW, {}
@@ -144,6 +168,8 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         J, Q, P = given["J"], given["Q"], given["P"].ravel()
         b = (given["prescribed"] - given["X"]).ravel()
+        unit = np.ldexp(1.0, -textbook_solver.symmetric_units(J @ np.linalg.solve(Q, J.T)))
+        J, b = unit[:, None] * J, unit * b
         inertia = J @ np.linalg.solve(Q, J.T)
         _, info = textbook_solver.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
         R = np.zeros(len(P))
@@ -159,10 +185,25 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         if name not in ("T", "F"):
             return super()._evaluate(name, inputs)
+        T, F = self.nonminimal(inputs)[1]
+        return (T if name == "T" else F).astype(self.dtype)
+
+    def nonminimal(self, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, FloatArray]]:
+        """(status, (T, F)) with the u_D that the code has; NaN, and OVERFLOW, where the block of J to invert is singular."""
+        rounded = {n: self._round(v) for n, v in inputs.items()}
+        n = self.scene.mechanism.u.size1()
+        nothing = np.full((n, n), np.nan), np.full(n, np.nan)
+        if not finite(v for name, v in rounded.items() if name in self._names["used"]):
+            return Status.NONFINITE, nothing
         given = self.parts(inputs)
         b = (given["prescribed"] - given["X"]).ravel()
-        T, F = nonminimal_form(given["Q"], given["P"].ravel(), given["J"], b, self._dependent)
-        return (T if name == "T" else F).astype(self.dtype)
+        try:
+            with np.errstate(all="ignore"):
+                T, F = nonminimal_form(given["Q"], given["P"].ravel(), given["J"], b, self._dependent)
+        except np.linalg.LinAlgError:
+            return Status.OVERFLOW, nothing
+        good = finite([self._round(T), self._round(F)])
+        return (Status.OK, (T, F)) if good else (Status.OVERFLOW, nothing)
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
         status, result = self.system(inputs)
@@ -224,21 +265,45 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         return projected
 
     def _project(self, inputs: dict[str, FloatArray], last: FloatArray) -> Control:
-        """Newton's method on the nearest point: tau <- start + A+ (A (tau - start) - phi)."""
+        """Newton's method on Lagrange's conditions of the nearest point: tau - start + A^T force = 0, phi = 0."""
         start = now = inputs["tau"]
-        for _ in range(_PROJECTION_CAP):
+        near, before = math.sqrt(EPSILON[self.scalar]), 0.0
+        m, l = self.scene.rows, self.scene.controls
+        for _ in range(PROJECTION_CAP):
             status, result = self.system(inputs | {"tau": now}, "phi", "A")
             if status < 0:
                 return Control(last, refusal(status))
-            A = result["A"].reshape(self.scene.rows, self.scene.controls)
-            zeros = np.zeros(self.scene.controls)
-            move, info = textbook_solver.solve(A, A @ (now - start) - result["phi"].ravel(), zeros, self._plan)
+            A, phi = result["A"].reshape(m, l), result["phi"].ravel()
+            inverse, _ = textbook_solver.pinv(A, self._plan)
+            bends = self.parts(inputs | {"tau": now})["bends"].reshape(m, l, l)
+            with np.errstate(all="ignore"):
+                force = inverse.T @ (start - now)
+                L = _root(np.eye(l) + np.tensordot(force, bends, 1))
+                L = L if np.all(np.isfinite(L)) else np.eye(l)
+                inner = np.linalg.solve(L, A.T).T
+                back = np.linalg.solve(L, start - now - A.T @ force)
+            if not finite([inner, back]):
+                return Control(last, refusal(Status.OVERFLOW))
+            move, info = textbook_solver.solve(inner, -phi, back, self._plan)
             if info.status < 0:
                 return Control(last, info)
-            now, before = start + np.asarray(move, dtype=float), now
-            if np.max(np.abs(now - before)) <= 8 * EPSILON[self.scalar] * np.max(np.abs(now), initial=0.0):
+            change = np.linalg.solve(L.T, np.asarray(move, dtype=float))
+            now = now + change
+            if not finite([self._round(now)]):
+                return Control(last, refusal(Status.OVERFLOW))
+            size, step = np.max(np.abs([now, start])), np.max(np.abs(change))
+            if step <= 8 * EPSILON[self.scalar] * size or (step <= near * size and 2 * step >= before > 0):
                 return Control(now.astype(self.dtype), info)
+            before = step
         return Control(last, refusal(Status.NOT_CONVERGED))
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """L with L L^T = matrix, NaN where the matrix is not positive definite."""
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return np.full(matrix.shape, np.nan)
 
 
 def _weight(given: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -263,18 +328,9 @@ def _singular(Q: FloatArray, epsilon: float) -> bool:
     return bool(sigma[-1] <= len(Q) * epsilon * sigma[0])
 
 
-def _mass_of_parameters(scene: Scene) -> Any:
-    """Q as a function of the parameters where it depends on nothing else: then prepare judges it. None otherwise."""
-    Q = scene.mechanism.Q
-    if any(ca.depends_on(Q, f.symbol) for f in scene.input_fields()):
-        return None
-    return ca.Function("mass", [f.symbol for f in scene.parameters or ()], [Q])
-
-
 def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
     mech = scene.mechanism
-    assert scene.parameters is not None
     fields = [*scene.input_fields(), *scene.parameters]
     rows = [_constraint_parts(scene, c) for c in scene.constraints]
     parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
@@ -284,7 +340,9 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
         parts["weight"] = scene.weight
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
     used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
-    names = {"in": [f.name for f in fields], "out": list(parts), "used": used}
+    inputs = ca.vertcat(*(f.symbol for f in scene.input_fields()))
+    fixed = [name for name, part in parts.items() if not ca.depends_on(ca.densify(part), inputs)]
+    names = {"in": [f.name for f in fields], "out": list(parts), "used": used, "fixed": fixed}
     return ca.Function("textbook", [f.symbol for f in fields], list(parts.values())), names
 
 
@@ -296,6 +354,7 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
             "X": _drift(scene, c.phi),
             "A": ca.jacobian(c.phi, scene.mechanism.tau),
             "prescribed": ca.mtimes(c.Theta, c.phi),
+            "bends": ca.vertcat(*(ca.densify(ca.hessian(row, scene.mechanism.tau)[0]) for row in ca.vertsplit(c.phi))),
         }
     if isinstance(c, Holonomic):
         psi_dot = _drift(scene, c.psi)

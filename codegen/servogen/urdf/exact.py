@@ -9,6 +9,7 @@ from fractions import Fraction
 import mpmath as mp
 
 from servogen.ir.lower import decimal_value
+from servogen.ir.numbers import as_fraction
 
 Vector = tuple[Fraction, Fraction, Fraction]
 Matrix = tuple[Vector, Vector, Vector]
@@ -84,7 +85,7 @@ def cosine_sine(angle: float) -> tuple[Fraction, Fraction]:
     with mp.workdps(_DIGITS):
         number = decimal_value(angle)
         exact = mp.mpf(number.numerator) / number.denominator
-        return _fraction(mp.cos(exact)), _fraction(mp.sin(exact))
+        return as_fraction(mp.cos(exact)), as_fraction(mp.sin(exact))
 
 
 def rotation(rpy: Sequence[float]) -> Matrix:
@@ -102,7 +103,7 @@ def unit(a: Vector) -> Vector:
         return tuple(Fraction((x > 0) - (x < 0)) for x in a)  # type: ignore[return-value]
     with mp.workdps(_DIGITS):
         square = dot(a, a)
-        length = _fraction(mp.sqrt(mp.mpf(square.numerator) / square.denominator))
+        length = as_fraction(mp.sqrt(mp.mpf(square.numerator) / square.denominator))
     return scale(1 / length, a)
 
 
@@ -112,9 +113,3 @@ def turning_z_to(axis: Vector) -> Matrix:
     helper: Vector = IDENTITY[(k + 1) % 3]
     x = unit(add(helper, scale(-dot(helper, axis), axis)))
     return transpose((x, cross(axis, x), axis))
-
-
-def _fraction(number: mp.mpf) -> Fraction:
-    sign, mantissa, exponent, _ = number._mpf_
-    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
-    return -magnitude if sign else magnitude

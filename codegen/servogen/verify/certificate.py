@@ -1,38 +1,52 @@
 """The certificate of a scene on a board: what its C costs there, and how far it errs.
 
 Instructions are counted by the emulator (they are not cycles), worst and mean over the vectors; flash, stack and
-symbols are read from the objects, compiled by the very command of the check.
+symbols are read from the objects, compiled by the very command of the check. What was seen is held to what was proven:
+the instructions to the longest path through the machine code (verify/bound.py), the stack, found by painting, to that
+of the call graph.
 """
 
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.plan.mathematics import Math
+from servogen.plan.solver import SolverPlan
+from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import Scalar
 from servogen.verify import objects
+from servogen.verify.bound import BoundUnknownError, Machine, read_machine
 from servogen.verify.harness import HarnessResult, default_states, run_harness
+from servogen.verify.loops import LoopUnboundedError, loops_of
 from servogen.verify.truth import Truth, states_to_check
+from servogen.verify.vectors import VectorSet
 
 STATES = 100
 """Drawn for a certificate, beside the boundary states; fewer where the board is small."""
 
+RESOLUTION = 2
+"""Instructions of one call that the counter may be off: two of its ticks over 100 calls."""
+
 
 @dataclass(frozen=True)
 class EntryCost:
-    """One entry point. instructions: the worst call seen and the mean, at `vectors` states. stack: bytes, by the call
-    graph, with the chain that takes them. operations: of the scene's own code, from the manifest. ulps: largest error
+    """One entry point. instructions: the worst call seen and the mean, at `vectors` states; bound: the most there can
+    be, 0 where none is known. stack: bytes, by the call graph, with the chain that takes them; stack_seen: the most
+    that any state took. operations: of the scene's own code, from the manifest. ulps: largest error
     over the domain in ulps of the outputs' scale. hash: of all statuses and answers."""
 
     name: str
     instructions: int
     instructions_mean: int
+    bound: int
     worst_state: int
     vectors: int
     stack: int
+    stack_seen: int
     stack_chain: tuple[str, ...]
     operations: dict[str, int]
     ulps: float
@@ -68,18 +82,32 @@ class Certificate:
 
 
 def certify(
-    scene: Scene, target: str, scalars: tuple[Scalar, ...] = ("float64", "float32"), math: Math = "own"
+    scene: Scene,
+    targets: Sequence[str],
+    scalars: tuple[Scalar, ...] = ("float64", "float32"),
+    math: Math = "own",
+    optimisation: str = "-O2",
 ) -> list[Certificate]:
-    """One certificate a scalar. Raises ToolMissing where the board has no compiler or emulator here."""
-    states = min(STATES, default_states(target, STATES))
+    """One certificate a board and scalar. Raises ToolMissing where a board has no compiler or emulator here."""
     with tempfile.TemporaryDirectory(prefix="servogen-certify-") as name:
         folder = Path(name)
         packages = [build(scene, folder / scalar, scalar, math=math) for scalar in scalars]
-        truths = [Truth(scene, p.module, states_to_check(scene, states)[0], states) for p in packages]
-        vectors = {p.prefix: t.vector_set() for p, t in zip(packages, truths, strict=True)}
         paths = [p.path for p in packages]
-        results = run_harness(paths, vectors, target=target, build_dir=folder / "build", measure=True)
-        return [_certificate(scene, p, target, r, folder) for p, r in zip(packages, results, strict=True)]
+        vectors: dict[int, dict[str, VectorSet]] = {}
+        found = []
+        for target in targets:
+            states = min(STATES, default_states(target, STATES))
+            if states not in vectors:
+                vectors[states] = {p.prefix: _vectors(scene, p, states) for p in packages}
+            work = folder / target
+            options: dict[str, Any] = {"target": target, "measure": True, "optimisation": optimisation}
+            results = run_harness(paths, vectors[states], build_dir=work / "build", **options)
+            found += [_certificate(scene, p, target, r, work) for p, r in zip(packages, results, strict=True)]
+        return found
+
+
+def _vectors(scene: Scene, package: Package, states: int) -> VectorSet:
+    return Truth(scene, package.module, states_to_check(scene, states)[0], states).vector_set()
 
 
 def _certificate(scene: Scene, package: Package, target: str, result: HarnessResult, folder: Path) -> Certificate:
@@ -87,6 +115,7 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
     compiled = objects.compile_like(folder / "build", prefix, folder / "objects")
     nm, size, objdump = (objects.tool(t, compiled.program) for t in ("nm", "size", "objdump"))
     library = objects.library_graph(objdump, nm, result.image)
+    compiled = replace(compiled, graph=objects.redirect(compiled.graph, library))
     needs = objects.undefined(nm, compiled.object)
     problems = list(result.problems) + objects.wrong_symbols(needs, module.target.scalar, module.target.math == "own")
     names = [e.name for e in _entries(result)]
@@ -94,8 +123,10 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
     if section["data"] + section["bss"]:
         problems.append(f"{section['data'] + section['bss']} bytes of variables with static storage")
     costs = []
+    machine, complaint = _machine(package, result, compiled)
+    problems += complaint
     for name in names:
-        entry, complaint = _entry(name, package, result, compiled, library)
+        entry, complaint = _entry(name, package, result, compiled, library, machine)
         costs.append(entry)
         problems += complaint
     reached = objects.reached([f"{prefix}_{n}" for n in names], compiled.graph, library)
@@ -120,6 +151,24 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
     )
 
 
+def _machine(package: Package, result: HarnessResult, compiled: objects.Compiled) -> tuple[Machine | None, list[str]]:
+    """The image's code with the limits of the package's loops, or why there is none."""
+    solvers = [s for s in (package.module.solver, _reaction_solver(package)) if s is not None]
+    most = max((min(s.m, s.l) for s in solvers), default=1)
+    source = package.path / f"{package.prefix}.c"
+    try:
+        loops = loops_of(source.read_text(), {"rank": most, "steps": most})
+    except LoopUnboundedError as problem:
+        return None, [f"{source.name}, {problem}"]
+    objdump, nm, addr2line = (objects.tool(t, compiled.program) for t in ("objdump", "nm", "addr2line"))
+    return read_machine(objdump, nm, result.image, addr2line, source, loops), []
+
+
+def _reaction_solver(package: Package) -> SolverPlan | None:
+    control = package.module.control
+    return control.reaction.solver if control is not None and control.reaction is not None else None
+
+
 @dataclass(frozen=True)
 class _Named:
     name: str
@@ -141,27 +190,43 @@ def _entries(result: HarnessResult) -> list[_Named]:
 
 
 def _entry(
-    name: str, package: Package, result: HarnessResult, compiled: objects.Compiled, library: dict[str, objects.Function]
+    name: str,
+    package: Package,
+    result: HarnessResult,
+    compiled: objects.Compiled,
+    library: dict[str, objects.Function],
+    machine: Machine | None,
 ) -> tuple[EntryCost, list[str]]:
     """The costs of one entry point, and what could not be proven."""
     problems: list[str] = []
     measured = next(e for e in _entries(result) if e.name == name)
     cost = result.costs.get(name)
+    symbol, bound = f"{package.prefix}_{name}", 0
     if cost is None:
         problems.append(f"{name}: its instructions were not counted on {result.target}")
     try:
-        depth, chain = objects.stack(f"{package.prefix}_{name}", compiled.graph, library)
+        depth, chain = objects.stack(symbol, compiled.graph, library)
+        if cost is not None and cost.stack > depth:
+            problems.append(f"{name}: {cost.stack} bytes of stack were taken, {depth} were proven")
     except objects.StackUnknownError as problem:
         depth, chain = 0, ()
         problems.append(f"{name}: {problem}")
+    try:
+        bound = machine.turn(f"hv_repeat_{name}", symbol) if machine is not None else 0
+        if machine is not None and cost is not None and cost.worst > bound + RESOLUTION:
+            problems.append(f"{name}: {cost.worst} instructions were counted, {bound} were proven to be the most")
+    except BoundUnknownError as problem:
+        problems.append(f"{name}: no bound of its instructions: {problem}")
     operations = package.manifest["entry_points"].get(name, {}).get("operations", {})
     return EntryCost(
         name,
         cost.worst if cost else 0,
         cost.mean if cost else 0,
+        bound,
         cost.vector if cost else 0,
         cost.vectors if cost else 0,
         depth,
+        cost.stack if cost else 0,
         chain,
         operations,
         measured.ulps,

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from servogen.plan.solver import plan_solver
-from servogen.scene.solver import EPSILON, Scalar, Solver
-from servogen.verify.tools import find_tool
+from servogen.scalars import EPSILON, Scalar
+from servogen.scene.solver import Solver
+from servogen.tools import find_tool
 
 SOURCE = Path(__file__).with_name("certificates.c")
 

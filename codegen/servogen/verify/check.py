@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from servogen import exact
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.results import FloatArray, Status
+from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.scene.solver import EPSILON, Scalar
+from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
-from servogen.verify import exact
+from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
-from servogen.verify.tools import ToolMissing
 from servogen.verify.truth import BAR, Truth, states_to_check
-from servogen.verify.vectors import VectorSet, ulp
+from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
 
 STATES = 2000
 HOST_COMPILERS = ("gcc", "clang")
@@ -31,7 +32,8 @@ class OutputCheck:
     """One output of one entry point of one package on one target.
 
     max_ulps: largest error over the domain in ulps of the output's scale; max_ratio: largest error / tolerance over
-    all states; reference_ulps: the same error of the textbook reference; problem: empty if passed.
+    all states; reference_ulps: the same error of the textbook reference; histogram: as in OutputResult; problem: empty if
+    passed.
     """
 
     scene: str
@@ -44,6 +46,7 @@ class OutputCheck:
     reference_ulps: float | None
     max_ratio: float
     hash: str
+    histogram: tuple[int, ...]
     problem: str
 
 
@@ -81,6 +84,19 @@ class Difference:
 
 
 @dataclass(frozen=True)
+class BackToBack:
+    """One package on host and board at states made on the target; `hash` is the host's, of all entry points."""
+
+    scene: str
+    scalar: str
+    target: str
+    vectors: int
+    hash: str
+    statuses: dict[str, int]
+    problem: str
+
+
+@dataclass(frozen=True)
 class CheckReport:
     """All figures of a check; `skipped` says what this machine lacks, with the command that installs it."""
 
@@ -89,6 +105,7 @@ class CheckReport:
     outputs: tuple[OutputCheck, ...]
     solves: tuple[SolveCheck, ...]
     differences: tuple[Difference, ...]
+    campaigns: tuple[BackToBack, ...]
     problems: tuple[str, ...]
     skipped: tuple[str, ...]
 
@@ -118,10 +135,12 @@ def check(
     states: int | None = None,
     seed: int = 0,
     progress: Progress = lambda done, total, text: None,
+    vectors: int = VECTORS,
 ) -> CheckReport:
     """Cross-check scenes in both scalars: on the host under gcc and clang, or on a board against the host.
 
-    states: drawn a scene; None: STATES, or fewer where the board is small.
+    states: drawn a scene; None: STATES, or fewer where the board is small. vectors: states made on a board itself, at
+    which its answers must be the host's bit for bit.
     Raises ToolMissing where the target has no compiler or emulator here.
     """
     states = default_states(target, STATES) if states is None else states
@@ -129,7 +148,8 @@ def check(
     if target != "host":
         require_target(target)
         compilers = compilers[:1]
-    steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + (target != "host"))
+    campaigns: list[BackToBack] = []
+    steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + 2 * (target != "host"))
     with tempfile.TemporaryDirectory(prefix="servogen-check-") as folder:
         cases = [_prepare(scene, scalar, Path(folder), states, seed, steps) for scene in scenes for scalar in EPSILON]
         runs = {}
@@ -139,6 +159,8 @@ def check(
         if target != "host":
             steps.next(f"running on {target}")
             runs[target] = _run(cases, target, "gcc", Path(folder) / target, dump=True)
+            steps.next(f"{vectors} states on {target} and on the host")
+            campaigns = _back_to_back(cases, target, vectors, Path(folder))
         references = [_reference_ulps(case) for case in cases]
         outputs = [
             _output_check(case, name, o, ulps)
@@ -154,6 +176,7 @@ def check(
     problems = [f"{r.prefix} ({name}): {p}" for name, results in runs.items() for r in results for p in r.problems]
     problems += [f"{case.package.prefix}: {p}" for case in cases for p in case.truth.problems]
     problems += [p for case, ulps in zip(cases, references, strict=True) for p in _formula_problems(case, ulps)]
+    problems += [f"{c.scene} {c.scalar} on {target}: {c.problem}" for c in campaigns if c.problem]
     skipped += [text for case in cases for text in _not_covered(case)]
     problems += [
         f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} u kappa (|tau| + |y|), the bar is {BAR:g}"
@@ -162,7 +185,14 @@ def check(
     ]
     boundary = tuple(dict.fromkeys(name for scene in scenes for name in states_to_check(scene, 0)[1]))
     return CheckReport(
-        states, boundary, tuple(outputs), tuple(solves), tuple(differences), tuple(problems), tuple(skipped)
+        states,
+        boundary,
+        tuple(outputs),
+        tuple(solves),
+        tuple(differences),
+        tuple(campaigns),
+        tuple(problems),
+        tuple(skipped),
     )
 
 
@@ -204,6 +234,31 @@ def _run(cases: list[_Case], target: str, compiler: Any, folder: Path, dump: boo
     return run_harness(packages, vectors, target=target, compiler=compiler, build_dir=folder, dump=dump)
 
 
+def _back_to_back(cases: list[_Case], target: str, vectors: int, folder: Path) -> list[BackToBack]:
+    """The campaign on the host and on the board: one hash."""
+    packages = [case.package for case in cases]
+    headers = {
+        c.package.prefix: campaign_header(c.scene, c.package.prefix, c.scalar, c.package.manifest) for c in cases
+    }
+    here, there = (
+        run_campaign(packages, headers, target=t, vectors=vectors, build_dir=folder / f"campaign-{t}")
+        for t in ("host", target)
+    )
+    return [
+        BackToBack(
+            case.scene.name, case.scalar, target, vectors, a.hash, dict(a.entries[-1].statuses), _disagreement(a, b)
+        )
+        for case, a, b in zip(cases, here, there, strict=True)
+    ]
+
+
+def _disagreement(here: Campaign, there: Campaign) -> str:
+    if here.problem or there.problem:
+        return here.problem or there.problem
+    names = [a.entry for a, b in zip(here.entries, there.entries, strict=True) if a.hash != b.hash]
+    return f"{', '.join(names)}: other bits than on the host" if names else ""
+
+
 def _output_check(case: _Case, target: str, o: OutputResult, references: dict[str, float]) -> OutputCheck:
     return OutputCheck(
         case.scene.name,
@@ -216,6 +271,7 @@ def _output_check(case: _Case, target: str, o: OutputResult, references: dict[st
         references.get(o.output if o.entry not in ("project", "step") else ""),
         o.max_ratio,
         o.hash,
+        o.histogram,
         o.problem,
     )
 
@@ -225,9 +281,9 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     truth = case.truth
     twin = reference(case.scene, case.scalar)
     worst: dict[str, float] = {}
-    answer = "tau_dot" if case.scene.kind == "controls" else "tau"
+    answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
-    names = (case.package.module.entry_points[0].name, *truth.control.system)
+    names = (case.package.module.entry_points[0].name, truth.control.system.matrix, truth.control.system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -260,10 +316,13 @@ def _formula_problems(case: _Case, reference_ulps: dict[str, float]) -> list[str
 
 
 def _not_covered(case: _Case) -> list[str]:
-    """Functions that no vector judges, with the reason."""
-    if case.truth.control.projection_cap > 1:
-        return [f"{case.package.prefix}: project and step, since phi is not affine in tau; the tests compare twins"]
-    return []
+    """What no vector judges, with the reason."""
+    projected = next((e for e in case.vectors.entries if e.call == "project"), None)
+    if projected is None:
+        return []
+    unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
+    of = f"{unknown} of {case.truth.drawn} states"
+    return [f"{case.package.prefix}: project at {of}, where Newton's method finds no nearest tau"] if unknown else []
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
@@ -298,7 +357,7 @@ def _system(
 ) -> tuple[Status, FloatArray, FloatArray]:
     """The system the solver gets: the code's own words for it, and by the scalar's own arithmetic what has no entry."""
     control = case.truth.control
-    matrix, right = control.system
+    matrix, right = control.system.matrix, control.system.right
     if control.matrix == matrix and control.reaction is None:
         status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
         return status, S, z

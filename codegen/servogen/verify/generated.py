@@ -5,8 +5,8 @@ import tempfile
 from pathlib import Path
 
 from servogen.compiler import build
-from servogen.scene.loading import builtin_names, load_scene
-from servogen.scene.solver import Scalar
+from servogen.loading import builtin_names, load_scene
+from servogen.scalars import Scalar
 
 FOLDERS: dict[Scalar, str] = {"float64": "f64", "float32": "f32"}
 

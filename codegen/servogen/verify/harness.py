@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.verify.tools import find_library, find_tool, tool_path
+from servogen.tools import find_library, find_tool, firmware_sim, tool_path
 from servogen.verify.vectors import VectorSet, data_bytes, render_vectors
 
 Compiler = Literal["gcc", "clang", "asan"]
@@ -42,7 +42,8 @@ class OutputResult:
     ulps of the output's scale, over the domain's vectors. max_ratio: largest error / tolerance, at vector `worst`,
     element `element` (flat). status_mismatches, rank_mismatches: per entry point. touched: values changed under a
     negative status. overruns: guard words changed. drift: values that differed when the same vector was run again.
-    hash: 64-bit FNV-1a over the statuses and the bits of all answers. problem: empty if passed, else what is wrong.
+    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1, 2,
+    4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else what is wrong.
     """
 
     entry: str
@@ -60,6 +61,7 @@ class OutputResult:
     overruns: int
     drift: int
     hash: str
+    histogram: tuple[int, ...]
     problem: str
 
     @property
@@ -78,12 +80,16 @@ class Dump:
 
 @dataclass(frozen=True)
 class Cost:
-    """Instructions of one call of an entry point, info included: over `vectors` vectors, the worst of them `vector`."""
+    """Instructions of one call of an entry point, info included: over `vectors` vectors, the worst of them `vector`.
+
+    stack: the most bytes any call took below its caller's, found by painting.
+    """
 
     worst: int
     mean: int
     vector: int
     vectors: int
+    stack: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +115,6 @@ class HarnessResult:
     def passed(self) -> bool:
         """Whether the package is right on this target."""
         return not self.problems
-
-
-def firmware_sim() -> Path:
-    """The folder of the CMake project: inside an installed package, or at the root of the repository."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "_firmware_sim", package.parents[1] / "firmware_sim"):
-        if (folder / "CMakeLists.txt").is_file():
-            return folder
-    raise RuntimeError("firmware_sim is in neither the package nor the repository; reinstall servogen")
 
 
 def targets() -> list[str]:
@@ -181,16 +178,14 @@ def run_harness(
     build_dir = build_dir.resolve()
     say(f"{target}: writing vectors of {', '.join(manifests)}")
     for prefix in manifests:
-        _write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
-    say(f"{target}: configuring")
-    _configure(packages, _preset(target, compiler), build_dir, dump, optimisation, measure)
+        write_if_changed(build_dir / "vectors" / f"{prefix}_vectors.h", render_vectors(vectors[prefix]))
     say(f"{target}: building {len(manifests)} images")
-    _run([find_tool("cmake", "cmake"), "--build", build_dir])
-    commands = _test_commands(build_dir)
+    given = {"DUMP": "ON" if dump else "OFF", "MEASURE": "ON" if measure else "OFF", "OPTIMISATION": optimisation}
+    commands = build_images(packages, target, compiler, build_dir, given)
 
     def check(prefix: str) -> HarnessResult:
         say(f"{target}: running {prefix}")
-        code, log = _execute(commands[f"check_{prefix}"], timeout)
+        code, log = execute(commands[f"check_{prefix}"], timeout)
         image = Path(commands[f"check_{prefix}"]["command"][-1])
         return read_log(vectors[prefix], target, _preset(target, compiler), code, log, image)
 
@@ -198,11 +193,37 @@ def run_harness(
         return list(pool.map(check, manifests))
 
 
+def hash_solvers(
+    packages: list[Path],
+    systems: int,
+    *,
+    target: str = "host",
+    compiler: Compiler = "gcc",
+    build_dir: Path,
+    optimisation: str = "-O2",
+    timeout: float = 600.0,
+) -> dict[str, str]:
+    """By prefix, of packages of `servogen.build_solver`: a hash over the bits of `systems` answers and their infos.
+
+    8 hexadecimal digits; "failed: ..." where the image does not run to its end. Raises as run_harness does.
+    """
+    require_target(target, compiler)
+    options = {"SOLVERS": _folders(packages), "SYSTEMS": str(systems), "OPTIMISATION": optimisation}
+    commands = build_images([], target, compiler, build_dir, options)
+    found = {}
+    for prefix in [_manifest(path)["prefix"] for path in packages]:
+        code, log = execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(words_of, log.splitlines()) if w[""] == "bits"), {})
+        good = code == 0 and "hash" in words
+        found[prefix] = words["hash"] if good else f"failed: {complaint_of(log, code) or f'exit code {code}'}"
+    return found
+
+
 def read_log(
     vectors: VectorSet, target: str, preset: str, exit_code: int, log: str, image: Path = Path()
 ) -> HarnessResult:
     """What a run proves, from its exit code and the lines it printed; whatever is not proven is a problem."""
-    lines = [_words(line) for line in log.splitlines()]
+    lines = [words_of(line) for line in log.splitlines()]
     found = {(w["entry"], w["output"]): w for w in lines if w[""] == "result" and _complete(w)}
     head = next((w for w in lines if w[""] == "harness"), {})
     verdict = next((w for w in lines if w[""] == "verdict"), {})
@@ -224,7 +245,7 @@ def read_log(
                 problems.append(f"{entry.name}, {output.name}: {result.problem}")
     if not problems and (verdict.get("pass") != "1" or exit_code != 0):
         problems.append("the lines are good, the verdict is not")
-    if problems and (complaint := _complaint(log, exit_code)):
+    if problems and (complaint := complaint_of(log, exit_code)):
         problems.append(f"the run ended with exit code {exit_code}: {complaint}")
     return HarnessResult(
         vectors.prefix,
@@ -289,24 +310,28 @@ def _check_packages(
             )
 
 
-def _configure(
-    packages: list[Path], preset: str, build_dir: Path, dump: bool, optimisation: str, measure: bool
-) -> None:
-    _run(
-        [
-            find_tool("cmake", "cmake"),
-            "--preset",
-            preset,
-            "-B",
-            build_dir,
-            f"-DSERVOGEN_PACKAGES={';'.join(p.resolve().as_posix() for p in packages)}",
-            f"-DSERVOGEN_VECTORS={(build_dir / 'vectors').as_posix()}",
-            f"-DSERVOGEN_DUMP={'ON' if dump else 'OFF'}",
-            f"-DSERVOGEN_MEASURE={'ON' if measure else 'OFF'}",
-            f"-DSERVOGEN_OPTIMISATION={optimisation}",
-            f"-DCMAKE_MAKE_PROGRAM={find_tool('ninja', 'ninja-build').as_posix()}",
-        ],
-    )
+def build_images(
+    packages: list[Path], target: str, compiler: str, build_dir: Path, options: Mapping[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Configure and build what is in build_dir/vectors; by the test's name its command and environment.
+
+    options: of the CMake project, without their SERVOGEN_. Raises HarnessBuildError where CMake or a compiler refuses.
+    """
+    build_dir = build_dir.resolve()
+    settings = {
+        "PACKAGES": _folders(packages),
+        "VECTORS": (build_dir / "vectors").as_posix(),
+        **options,
+    }
+    ninja = find_tool("ninja", "ninja-build").as_posix()
+    given = [*(f"-DSERVOGEN_{n}={v}" for n, v in settings.items()), f"-DCMAKE_MAKE_PROGRAM={ninja}"]
+    _run([find_tool("cmake", "cmake"), "--preset", _preset(target, compiler), "-B", build_dir, *given])
+    _run([find_tool("cmake", "cmake"), "--build", build_dir])
+    return _test_commands(build_dir)
+
+
+def _folders(packages: list[Path]) -> str:
+    return ";".join(p.resolve().as_posix() for p in packages)
 
 
 def _environment() -> dict[str, str]:
@@ -338,7 +363,7 @@ def _test_commands(build_dir: Path) -> dict[str, dict[str, Any]]:
     return tests
 
 
-def _execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
+def execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
     """Exit code and output of one check; a check that does not end counts as exit code -1."""
     try:
         done = subprocess.run(
@@ -355,7 +380,7 @@ def _execute(test: Mapping[str, Any], timeout: float) -> tuple[int, str]:
     return done.returncode, done.stdout.decode(errors="replace")
 
 
-def _words(line: str) -> dict[str, str]:
+def words_of(line: str) -> dict[str, str]:
     """A line of key=value words as a dict; the first word, which has no key, under ''."""
     first, *rest = line.split() or [""]
     return {"": first} | dict(word.split("=", 1) for word in rest if "=" in word)
@@ -368,7 +393,7 @@ def _complete(words: Mapping[str, str]) -> bool:
 def _output_result(words: Mapping[str, str], vectors: int, comparisons: int) -> OutputResult:
     """One `result` line, held against the numbers of vectors and comparisons there had to be."""
     numbers = {key: int(words[key]) for key in _COUNTS}
-    ulps, ratio = _floats(words["ulps"])[0], _floats(words["ratio"])[0]
+    ulps, ratio = floats_of(words["ulps"])[0], floats_of(words["ratio"])[0]
     remarks = [f"{numbers[key]} {text}" for key, text in _COUNTS.items() if text and numbers[key]]
     if numbers["outside"]:
         remarks.append(f"worst {ratio:.3g} times the tolerance at vector {numbers['worst']}[{numbers['element']}]")
@@ -394,6 +419,7 @@ def _output_result(words: Mapping[str, str], vectors: int, comparisons: int) -> 
         overruns=numbers["overruns"],
         drift=numbers["drift"],
         hash=words["hash"],
+        histogram=tuple(int(n) for n in words["histogram"].split(",")),
         problem="; ".join(remarks),
     )
 
@@ -413,7 +439,7 @@ _COUNTS = {
 }
 
 
-def _floats(text: str) -> NDArray[np.floating[Any]]:
+def floats_of(text: str) -> NDArray[np.floating[Any]]:
     """Floats from the hexadecimal of their bits, separated by commas; 8 digits are float32, 16 float64."""
     words = text.split(",")
     kind = {8: "4", 16: "8"}[len(words[0])]
@@ -425,7 +451,7 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
     rows: dict[tuple[str, str], list[tuple[int, NDArray[np.floating[Any]]]]] = {}
     for words in lines:
         if words[""] == "value" and "bits" in words:
-            values = _floats(words["bits"])
+            values = floats_of(words["bits"])
             status = int(words["status"])
             rows.setdefault((words["entry"], words["output"]), []).append(
                 (status, np.full_like(values, np.nan) if status < 0 else values)
@@ -439,10 +465,10 @@ def _dumps(lines: list[dict[str, str]]) -> dict[tuple[str, str], Dump]:
 def _costs(lines: list[dict[str, str]]) -> dict[str, Cost]:
     """All `cost` lines whose every vector was counted."""
     found = [words for words in lines if words[""] == "cost" and words["missing"] == "0"]
-    return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors"))) for w in found}
+    return {w["entry"]: Cost(*(int(w[key]) for key in ("worst", "mean", "vector", "vectors", "stack"))) for w in found}
 
 
-def _complaint(log: str, exit_code: int) -> str:
+def complaint_of(log: str, exit_code: int) -> str:
     """A sanitizer's or the board's complaint, or the last line of a run that broke off; empty if it ended by itself."""
     lines = [line.strip() for line in log.splitlines() if line.strip() and not line.startswith("value ")]
     for line in lines:
@@ -453,7 +479,7 @@ def _complaint(log: str, exit_code: int) -> str:
     return lines[-1] if lines else "it printed nothing"
 
 
-def _write_if_changed(path: Path, text: str) -> None:
+def write_if_changed(path: Path, text: str) -> None:
     """So that an unchanged header leads to no compilation."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.is_file() or path.read_text() != text:

@@ -149,6 +149,15 @@ def library_graph(objdump: str, nm: str, image: Path) -> dict[str, Function]:
     return _merge(functions, joined)
 
 
+def redirect(package: Mapping[str, Function], library: Mapping[str, Function]) -> dict[str, Function]:
+    """The package's call graph as the image was linked: with --wrap=f, its calls of f go to __wrap_f."""
+
+    def linked(name: str) -> str:
+        return f"__wrap_{name}" if f"__wrap_{name}" in library else name
+
+    return {n: Function(f.frame, f.code, {linked(c) for c in f.calls}) for n, f in package.items()}
+
+
 def stack(entry: str, package: Mapping[str, Function], library: Mapping[str, Function]) -> tuple[int, tuple[str, ...]]:
     """The deepest stack under `entry`, in bytes, and the chain of calls that takes it.
 

@@ -6,27 +6,31 @@ Tolerances are no guesses: S, z, A, B may differ by the first-order rounding bou
 """
 
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import flint
 import mpmath as mp
 import numpy as np
 
+from servogen import exact
 from servogen.compiler import optimised_scene
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
+from servogen.ir.numbers import as_fraction
 from servogen.ir.rounding import rounding_bounds
+from servogen.plan import textbook_solver
 from servogen.plan.module import Module
 from servogen.plan.solver import SolverPlan
-from servogen.results import FloatArray, Info, Status
+from servogen.plan.stage import cut
+from servogen.results import Control, FloatArray, Info, Status
+from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
-from servogen.scene.solver import EPSILON
-from servogen.twins import textbook_solver
-from servogen.verify import exact
+from servogen.twins.interface import ControlsTwin
+from servogen.twins.reference import reference
+from servogen.verify.projection import Projection
 from servogen.verify.singular import pseudo_solution
-from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, EntryVectors, OutputVectors, VectorSet
+from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS, EntryVectors, OutputVectors, VectorSet
 
 BAR = 8.0
 """tau may err by BAR u kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
@@ -154,7 +158,7 @@ class Truth:
         status = self._evaluated(k, results, bool(control.kernel.guards))
         if control.reaction is None:
             return self._unweighted(
-                point, self._solved(point, control.matrix, control.system[1], status, self._free(k))
+                point, self._solved(point, control.matrix, control.system.right, status, self._free(k))
             )
         reaction = self.reactions[k]
         status = (
@@ -183,6 +187,7 @@ class Truth:
         assert reaction is not None
         n, m = reaction.size, reaction.solver.m
         status = self._evaluated(k, tuple(r.name for r in reaction.kernel.results), bool(reaction.kernel.guards))
+        point = _in_own_units(point, m) if m > 1 and status == Status.OK else point
         force = self._solved(point, "reaction_matrix", "reaction_right", status, None, reaction.solver)
         if force.status < 0 or not np.isfinite(force.tolerance):
             return Answer([mp.mpf(0)] * n, np.inf, force.status if force.status < 0 else ANY_ANSWER, force.rank)
@@ -251,8 +256,8 @@ class Truth:
         if self.control.reaction is not None:
             entries.append(self._reaction_vectors())
         entries += [self._pinv_vectors(), self._control_vectors("control", self.answers)]
-        if self.control.projection_cap == 1:
-            projected, stepped = self._projections()
+        if self.control.projection is not None:
+            projected, stepped = self._bent_projections() if self.control.curvature else self._projections()
             entries += [
                 self._control_vectors("project", projected),
                 self._control_vectors("step", stepped, float(self.dtype(STEP_DT))),
@@ -299,7 +304,7 @@ class Truth:
         drawn = stacked[: self.drawn]
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
-        output = OutputVectors.of(f"{self.control.system[0]}_pinv", expected, limits, scale, self.scalar)
+        output = OutputVectors.of(f"{self.control.system.matrix}_pinv", expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
@@ -320,10 +325,10 @@ class Truth:
         tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
         known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
         expected, limits = _comparable(values, tolerance, self.scalar)
-        name = "tau_dot" if self.scene.kind == "controls" and entry == "control" else "tau"
+        name = self.control.system.answer if entry == "control" else "tau"
         output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
         status = np.array([a.status for a in answers])
-        rank = np.array([a.rank if a.status != ANY_ANSWER else ANY_RANK for a in answers])
+        rank = np.array([a.rank if a.status not in (ANY_ANSWER, ANY_STATUS) else ANY_RANK for a in answers])
         call: Any = entry
         return EntryVectors(entry, call, (output,), status, rank, dt, domain=self.drawn)
 
@@ -355,6 +360,45 @@ class Truth:
             status = after.status if after.status < 0 else ANY_ANSWER if both else max(answer.status, after.status)
             stepped.append(Answer(after.tau, after.tolerance, status, after.rank))
         return projected, stepped
+
+    def _bent_projections(self) -> tuple[list[Answer], list[Answer]]:
+        """The same where phi is not affine in tau; where the textbook's iteration finds nothing, any status will do."""
+        program = cut(self.program, "projection", ("phi", "A", "curvature"))
+        projection = Projection(program, self.control.curvature, self.scalar)
+        twin = reference(self.scene, self.scalar)
+        assert isinstance(twin, ControlsTwin)
+        dt = float(self.dtype(STEP_DT))
+        projected, stepped = [], []
+        for k in range(self.count):
+            at = {n: v[k] for n, v in self.inputs.items()}
+            start = [mp.mpf(float(v)) for v in at["tau"]]
+            projected.append(self._bent(k, projection, twin.project(**at), start, 0.0))
+            control = self.answers[k]
+            if control.status < 0 or not np.isfinite(control.tolerance) or not self.finite[k]:
+                unknown = control.status if control.status < 0 else ANY_STATUS
+                stepped.append(Answer(start, np.inf, unknown, ANY_RANK))
+                continue
+            moved = list(_moved(at["tau"], control, dt))
+            carried = dt * control.tolerance + 2 * self.solver.epsilon * _norm(moved)
+            after = self._bent(k, projection, twin.step(dt, **at), moved, carried)
+            known = after.status == Status.OK
+            status = control.status if known else after.status  # the greater: a control's remark stays
+            stepped.append(Answer(after.tau, after.tolerance, status, after.rank))
+        return projected, stepped
+
+    def _bent(self, k: int, projection: Projection, guess: Control, start: Exact, carried: float) -> Answer:
+        """What project gives from `start` at state k, near what the textbook's iteration found."""
+        unknown = Answer([mp.mpf(0)] * self.solver.l, np.inf, ANY_STATUS, ANY_RANK)
+        if not self.finite[k]:
+            return Answer(unknown.tau, np.inf, Status.NONFINITE, 0)
+        if guess.info.status < 0 or guess.info.rank < self.solver.m or guess.info.status == Status.REGULARISED:
+            return unknown
+        inputs = {n: v[k : k + 1] for n, v in self.inputs.items()} | self.parameters
+        inputs = {n: np.array(v, dtype=float) for n, v in inputs.items()}
+        found = projection.nearest(inputs, start, guess.value, carried)
+        if found is None or _norm(np.array([float(v) for v in found.tau]) - guess.value) > 2 * found.tolerance:
+            return unknown
+        return Answer(found.tau, found.tolerance, Status.OK, self.solver.m)
 
     def _projected(self, k: int, point: Point, tau: Any, carried: float) -> Answer:
         """tau - A+ phi, exact where phi is affine in tau; `carried` is the 2-norm of an error tau comes with."""
@@ -413,6 +457,20 @@ def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info,
     return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
 
 
+def _in_own_units(point: Point, m: int) -> Point:
+    """The rows of J, and with them both sides of the system of R, in the code's powers of two."""
+    unit = -textbook_solver.symmetric_units(point.rounded["reaction_matrix"].reshape(m, m).astype(float))
+    by_row = np.repeat(unit, len(point.values["J"]) // m)
+    shifts = {"reaction_matrix": (unit[:, None] + unit).ravel(), "reaction_right": unit, "J": by_row}
+    values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)
+    for name, shift in shifts.items():
+        values[name] = [mp.ldexp(v, int(k)) for v, k in zip(values[name], shift, strict=True)]
+        with np.errstate(over="ignore"):
+            bounds[name] = np.ldexp(bounds[name].ravel(), shift)
+            rounded[name] = np.ldexp(rounded[name].ravel(), shift.astype(np.int32))
+    return Point(values, bounds, rounded, point.status)
+
+
 def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:
     with mp.workdps(DIGITS):
         start = [mp.mpf(float(x)) for x in tau]
@@ -439,9 +497,8 @@ def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
 
 
 def _fmpq(value: Any) -> Any:
-    sign, mantissa, exponent, _ = value._mpf_
-    magnitude = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
-    return flint.fmpq(-magnitude.numerator if sign else magnitude.numerator, magnitude.denominator)
+    fraction = as_fraction(value)
+    return flint.fmpq(fraction.numerator, fraction.denominator)
 
 
 def _values(column: exact.Matrix) -> Exact:

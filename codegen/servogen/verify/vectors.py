@@ -9,13 +9,13 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Literal
 
-import jinja2
 import mpmath
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from servogen.render.render import environment
 
 Scalar = Literal["float64", "float32"]
 Call = Literal["plain", "control", "project", "step", "pinv", "solve"]
@@ -24,6 +24,8 @@ Integers = NDArray[np.integer[Any]]
 
 ANY_ANSWER = 127
 """Expected status of a vector whose answer must be written, whatever the remark that comes with it."""
+ANY_STATUS = -127
+"""Expected status of a vector of which nothing is known but that a refusal leaves the outputs alone."""
 ANY_RANK = -1
 """Expected rank of a vector whose rank is not compared."""
 MAX_OUTPUTS = 8
@@ -69,7 +71,7 @@ class EntryVectors:
         step     (model, in, dt, output, info)
         pinv     (S, output, info), with S in `arguments`
         solve    (S, z, y, output, info), with S, z and perhaps y in `arguments`; without, y is NULL
-    status: (N,) expected status, or ANY_ANSWER; None stands for ANY_ANSWER throughout.
+    status: (N,) expected status, ANY_ANSWER or ANY_STATUS; None stands for ANY_ANSWER throughout.
     rank: (N,) expected rank, or ANY_RANK; None compares none. dt: in seconds, for step alone.
     domain: errors are measured in ulps over the first `domain` vectors; those behind them (huge, say) are judged by
     their tolerance alone. None: over all.
@@ -163,7 +165,7 @@ def render_vectors(vectors: VectorSet) -> str:
     Raises:
         ValueError: shapes, names or numbers do not fit together; the message says which.
     """
-    return _template().render(_context(vectors))
+    return environment().get_template("vectors.h.j2").render(_context(vectors))
 
 
 def data_bytes(vectors: VectorSet) -> int:
@@ -198,7 +200,7 @@ class _Array:
     def text(self) -> str:
         """The initialiser's lines."""
         flat = self.values.ravel().tolist()
-        words = [str(x) for x in flat] if self.ctype != "real" else [_literal(x, self.values.dtype.name) for x in flat]
+        words = [str(x) for x in flat] if self.ctype != "real" else [literal(x, self.values.dtype.name) for x in flat]
         lines = (words[i : i + _NUMBERS_PER_LINE] for i in range(0, len(words), _NUMBERS_PER_LINE))
         return ",\n".join("    " + ", ".join(line) for line in lines)
 
@@ -242,8 +244,8 @@ class _Pool:
         return self._known[key]
 
 
-def _literal(value: float, scalar: str) -> str:
-    """Exact in the scalar: hexadecimal."""
+def literal(value: float, scalar: str) -> str:
+    """A number as C writes it, exact in the scalar: hexadecimal."""
     if math.isnan(value):
         return "REAL_NAN"
     if math.isinf(value):
@@ -302,7 +304,7 @@ def _actuals(entry: EntryVectors, scalar: Scalar) -> list[str]:
     if not entry.uses_model:
         given = [f"hv_argument_{entry.name}_{n}" if n in entry.arguments else "NULL" for n in _ARGUMENTS[entry.call]]
         return given + results
-    step = [_literal(float(np.dtype(scalar).type(entry.dt)), scalar)] if entry.dt is not None else []
+    step = [literal(float(np.dtype(scalar).type(entry.dt)), scalar)] if entry.dt is not None else []
     return ["&hv_model", "&in", *step, *results]
 
 
@@ -320,7 +322,7 @@ def _output(entry: EntryVectors, j: int, scalar: Scalar, pool: _Pool) -> dict[st
     return {
         "name": output.name,
         "size": output.size,
-        "ulp": _literal(ulp(output.scale, scalar), scalar),
+        "ulp": literal(ulp(output.scale, scalar), scalar),
         "guarded": f"hv_guarded_{name}",
         "exact": f"hv_exact_{name}",
         **{part: pool.reals(f"hv_{name}_{part}", array) for part, array in arrays.items()},
@@ -405,16 +407,3 @@ def _check_shape(where: str, array: Any, shape: tuple[int | None, int | None]) -
     if len(given) != 2 or any(w is not None and w != g for w, g in zip(shape, given, strict=True)):
         wanted = ", ".join("N" if n is None else str(n) for n in shape)
         raise ValueError(f"{where}: shape {given}, expected ({wanted})")
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("servogen", "render/templates"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template("vectors.h.j2")

@@ -25,5 +25,8 @@ uint32_t hal_count_stop(void)
     if (wrapped) {
         return 0;
     }
+    if (now == 0) {
+        return 1; /* not one tick, or the counter had been loaded */
+    }
     return (uint32_t)((uint64_t)(LARGEST - now) * 1000000000u / BOARD_CLOCK_HZ);
 }

@@ -8,6 +8,7 @@ extern uint32_t data_start[], data_end[], data_load[], bss_start[], bss_end[], s
 int main(void);
 void reset_handler(void);
 static void fault_handler(void);
+void systick_handler(void) __attribute__((weak, alias("fault_handler"))); /* an image with a timer has its own */
 
 #define CPACR (*(volatile uint32_t *)0xE000ED88u)
 
@@ -43,5 +44,5 @@ __attribute__((section(".isr_vector"), used)) static const vector vectors[16] = 
     {.stack = stack_top},         {.handler = reset_handler}, {.handler = fault_handler}, {.handler = fault_handler},
     {.handler = fault_handler},   {.handler = fault_handler}, {.handler = fault_handler}, {.stack = 0},
     {.stack = 0},                 {.stack = 0},               {.stack = 0},               {.handler = fault_handler},
-    {.handler = fault_handler},   {.stack = 0},               {.handler = fault_handler}, {.handler = fault_handler},
+    {.handler = fault_handler},   {.stack = 0},               {.handler = fault_handler}, {.handler = systick_handler},
 };

@@ -11,10 +11,10 @@ from servogen.bench.peers.robots import adam_scene, pinocchio_c
 from servogen.bench.peers.sympy_c import sympy_c
 from servogen.bench.results import Bench, Output
 from servogen.bench.run import bench
+from servogen.loading import load_scene, scene_module
 from servogen.optimise.search import SEARCH
-from servogen.scene.loading import load_scene, scene_module
 from servogen.scene.scene import Scene
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 NAIVE, BASELINE = "CasADi", "CasADi cse"

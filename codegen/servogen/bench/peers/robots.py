@@ -23,7 +23,7 @@ from servogen.bench.results import Output
 from servogen.scene.constraints import Holonomic
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 _GRAVITY = (0.0, 0.0, -9.81)
 _BOOST_LIMITS = ("-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",

@@ -12,7 +12,7 @@ from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program
 from servogen.render.render import SourceFile
 from servogen.scene.scene import Scene
-from servogen.verify.tools import ToolMissing
+from servogen.tools import ToolMissing
 
 MOST_INSTRUCTIONS = 1500
 """Of a scene; SymPy's trees grow with every shared value, and take hours beyond."""

@@ -40,3 +40,12 @@ def find_library(compiler: Path, file: str, debian_package: str) -> Path:
     if answer == file:  # how gcc says that it found none
         raise ToolMissing(f"{compiler.name} has no {file}; on Debian or Ubuntu: apt-get install {debian_package}")
     return Path(answer)
+
+
+def firmware_sim() -> Path:
+    """The folder of the CMake project: inside an installed package, or at the root of the repository."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "_firmware_sim", package.parents[1] / "firmware_sim"):
+        if (folder / "CMakeLists.txt").is_file():
+            return folder
+    raise RuntimeError("firmware_sim is in neither the package nor the repository; reinstall servogen")

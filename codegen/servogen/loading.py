@@ -87,6 +87,10 @@ def _run(file: Path) -> ModuleType:
         loader.loader.exec_module(module)
     except SceneError as error:
         raise SceneError(f"{_place(file, error)}: {error}") from error
+    except (SyntaxError, ValueError) as error:
+        binary = "null bytes" in str(error) or "decode" in str(error)
+        remedy = "; it is no Python source, give the file that defines the scene" if binary else ""
+        raise SceneError(f"{_place(file, error)}: {type(error).__name__}: {error}{remedy}") from error
     except (Exception, SystemExit) as error:
         raise SceneError(f"{_place(file, error)}: {type(error).__name__}: {error}") from error
     finally:
@@ -95,9 +99,9 @@ def _run(file: Path) -> ModuleType:
 
 
 def _place(file: Path, error: BaseException) -> str:
-    """file:line of the user's own statement that failed."""
+    """file:line of the user's own statement that failed; the file where no line is to blame."""
     if isinstance(error, SyntaxError):
-        return f"{file}:{error.lineno}"
+        return f"{file}:{error.lineno}" if error.lineno else str(file)
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file.absolute()]
     return f"{file}:{lines[-1]}" if lines else str(file)
 

@@ -1,6 +1,5 @@
 """Exact rational truth for the pseudo-inverse: floating-point inputs are dyadic rationals (NUMERICS: Truth)."""
 
-from fractions import Fraction
 from typing import Any
 
 import flint
@@ -76,6 +75,6 @@ def _fmpq(x: float) -> Any:
 
 def _float(q: Any) -> float:
     try:
-        return float(Fraction(int(q.p), int(q.q)))
+        return int(q.p) / int(q.q)  # Python rounds a quotient of integers correctly
     except OverflowError:
         return float("inf") if q > 0 else float("-inf")

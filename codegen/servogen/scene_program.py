@@ -50,7 +50,7 @@ def optimise_formulation(
     out, by name.
     """
     scene, quantities, mass = formulation.scene, formulation.quantities, formulation.mass
-    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([formulation.constraint]), without)
+    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]), without)
 
 
 def optimise_quantities(

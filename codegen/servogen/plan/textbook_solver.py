@@ -6,6 +6,7 @@ The independent reference for the generated C: nothing is shared with the templa
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Path, Status
@@ -62,6 +63,21 @@ def pinv(S: FloatArray, plan: SolverPlan, last: FloatArray | None = None) -> tup
         return matrix, _info(status, rank, S, 0.0, plan)
 
 
+def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
+    """Exponents e such that 2^-(e_i + e_j) matrix_ij has no entry far above 1; about 1 on a positive diagonal.
+
+    Bunch, "Equilibration of symmetric matrices in the max-norm", J. ACM 18 (1971); 0 for a row of zeros.
+    """
+    size = np.maximum(np.abs(matrix), np.abs(matrix.T))
+    power = np.where(size > 0, np.frexp(size)[1] - 1.0, -np.inf)
+    units = np.floor(np.diag(power) / 2)
+    for _ in range(2):
+        for i in range(len(units)):
+            known = np.isfinite(units) & (np.arange(len(units)) != i)
+            units[i] = max(units[i], np.max(power[i, known] - units[known], initial=-np.inf))
+    return np.where(np.isfinite(units), units, 0).astype(np.int64)
+
+
 def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:
     """U, sigma, V and the rows' units D with D U diag(sigma) V^T = S truncated to its rank, and whether to damp.
 
@@ -74,7 +90,8 @@ def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, F
         return np.zeros((plan.m, 0)), np.zeros(0), np.zeros((plan.l, 0)), np.ones(plan.m), False
 
     largest = _power_of_two(row_size[counted].max())
-    own = np.where(counted, _power_of_two(np.where(counted, row_size, 1.0)), largest)
+    row_length = row_size * np.linalg.norm(S / np.where(counted, row_size, 1.0)[:, None], axis=1)
+    own = np.where(counted, _power_of_two(np.where(counted, row_length, 1.0)), largest)
     common = np.full(plan.m, largest)
     row_unit = own if plan.rank == "scaled" else common
 

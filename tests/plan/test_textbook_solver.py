@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from servogen import exact
+from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Path, Status
 from servogen.scene.solver import Solver
-from servogen.twins import textbook_solver
-from servogen.verify import exact
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (3, 7), (7, 3), (6, 12)]
 

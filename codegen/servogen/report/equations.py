@@ -1,0 +1,132 @@
+"""A scene in formulas: as the user wrote it, as the textbook derives it, and as the generated code computes it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from servogen.derive.formulation import Formulation
+from servogen.ir.lower import lower_expressions
+from servogen.ir.program import Input, Program
+from servogen.optimise.merge import merge
+from servogen.plan.module import Module
+from servogen.report.formulas import Formulas, formulas
+from servogen.report.mathml import formula, math, mo, symbol, tag
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic, expression_of, theta_parts
+from servogen.scene.scene import Scene
+
+_KINDS: dict[type, str] = {
+    Nonholonomic: "nonholonomic",
+    Holonomic: "holonomic",
+    ControlsInvolved: "controls-involved",
+}
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Each part a caption and its formulas; derived: a line, its shape and its source."""
+
+    written: tuple[tuple[str, Formulas], ...]
+    derived: tuple[tuple[str, str, str], ...]
+    computed: tuple[tuple[str, Formulas], ...]
+
+
+def equations(scene: Scene, formulation: Formulation, module: Module) -> Equations:
+    """All formulas of one scene."""
+    return Equations(_written(scene), _derived(formulation), _computed(scene, module))
+
+
+def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
+    mech = scene.mechanism
+    motion = "q' = " + ("C u" if mech.C is not None else "u") + (" + D" if mech.D is not None else "")
+    names = [n for n in ("C", "D", "Q", "P", "G") if getattr(mech, n) is not None]
+    first = math(formula(motion), mo(","), tag("mspace", width="2em"), formula("Q u' = P + G tau"))
+    model = _formulas([(n, getattr(mech, n)) for n in names])
+    parts = [("The mechanism", Formulas(model.operations, model.definitions, (first, *model.lines)))]
+    for c in scene.constraints:
+        psi = "phi" if isinstance(c, ControlsInvolved) else "psi"
+        shown = _formulas([(psi, expression_of(c)), *theta_parts(c).items()])
+        lines = (_wish(c), *shown.lines)
+        parts.append((f"{c.name}, {_KINDS[type(c)]}", Formulas(shown.operations, shown.definitions, lines)))
+    if isinstance(scene.y, ca.SX):
+        parts.append(("The free vector", _formulas([("y", scene.y)])))
+    if scene.weight is not None:
+        parts.append(("The weight", _formulas([("W", scene.weight)])))
+    return tuple(parts)
+
+
+def _wish(constraint: Any) -> str:
+    """What is asked of the constraint."""
+    if isinstance(constraint, Holonomic):
+        return math(formula("psi'' = Theta1 psi' + Theta2 psi"))
+    if isinstance(constraint, ControlsInvolved):
+        return math(formula("phi' = 0" if constraint.Theta.is_zero() else "phi' = Theta phi"))
+    return math(formula("psi' = Theta psi"))
+
+
+def _derived(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
+    """The quantities, and at last the answer."""
+    scene = formulation.scene
+    matrix, right, free = scene.system.matrix, scene.system.right, scene.y is not None
+    unknown = "tau'" if scene.system.tau_is_state else "tau"
+    metric = "" if scene.weight is None else f", {matrix}^+ in the metric of W"
+    answer = f"{unknown} = y + {matrix}^+ ({right} - {matrix} y)" if free else f"{unknown} = {matrix}^+ {right}"
+    last = [(answer + metric, {"S": "10", "A": "54", "G": "16"}[matrix])]
+    if scene.kind == "ideal":
+        last.insert(0, ("R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", "17"))
+    shapes = {"R": f"{scene.system_shape[0]}×1", "tau": f"{scene.controls}×1"}
+    answers = [
+        (math(formula(text), display=False), shapes["R" if text.startswith("R") else "tau"], f"Eq. ({number})")
+        for text, number in last
+    ]
+    return (*_quantities(formulation), *answers)
+
+
+def _quantities(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
+    return tuple(
+        (
+            math(symbol(q.name), mo("="), formula(q.formula), display=False),
+            f"{q.expression.size1()}×{q.expression.size2()}",
+            q.equation,
+        )
+        for q in formulation.quantities
+    )
+
+
+def _computed(scene: Scene, module: Module) -> tuple[tuple[str, Formulas], ...]:
+    """The kernels of the tick, and before them what prepare leaves in the model."""
+    names = _names(scene)
+    parts = []
+    prepared = module.prepare.program
+    own = {f.name for f in module.parameters}
+    kept = tuple(o for o in prepared.outputs if o.name not in own and not o.name.startswith("mass_"))
+    if kept:
+        shown = formulas(Program(prepared.name, prepared.inputs, prepared.instrs, kept), names)
+        parts.append(("Once, in prepare", shown))
+    assert module.control is not None
+    entry = module.entry_points[-1].kernel if module.control.reaction is None else module.control.kernel
+    program = entry.program
+    kept = tuple(o for o in program.outputs if not o.name.startswith("mass_"))
+    parts.append(("At each tick", formulas(Program(program.name, program.inputs, program.instrs, kept), names)))
+    return tuple(parts)
+
+
+def _names(scene: Scene) -> Any:
+    """(input, index) -> the name of the user's symbol."""
+    fields = [*scene.input_fields(), *(scene.parameters or ())]
+    users = {f.name: [s.name() for s in f.symbol.nonzeros()] for f in fields}
+    users.setdefault("tau", [s.name() for s in scene.mechanism.tau.nonzeros()])
+
+    def name(field: str, index: int) -> str:
+        return users[field][index] if field in users else field
+
+    return name
+
+
+def _formulas(named: Sequence[tuple[str, Any]]) -> Formulas:
+    """SX matrices as the user wrote them, repeated terms once."""
+    used = ca.symvar(ca.vertcat(*(ca.vec(ca.densify(e)) for _, e in named)))
+    inputs = [(Input(f"s{k}", 1), s) for k, s in enumerate(used)]
+    program = merge(lower_expressions("written", inputs, list(named)))
+    return formulas(program, lambda field, _: used[int(field[1:])].name())

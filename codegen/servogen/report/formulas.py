@@ -1,0 +1,279 @@
+"""A program as formulas: sums, products and fractions as one writes them, with names for what is shared."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from servogen.ir.program import Output, Program, live
+from servogen.report.mathml import bracketed, math, matrix, mi, mn, mo, row, symbol, tag
+
+INLINE = 60
+"""Operations, counted as often as they are read, up to which nothing gets a name of its own."""
+
+SHARED = 3
+"""Operations from which on a value that is used again is written once and named."""
+
+LARGEST = 400
+"""Operations beyond which nobody reads formulas: their number is said instead."""
+
+_SUM, _PRODUCT, _ATOM = 1, 2, 3
+_SHORT = 64  # the largest denominator that is written out
+_WORDS = {"fmin": "min", "fmax": "max", "fabs": "abs", "log": "ln", "if_else_zero": "if"}
+_SIGNS = {"lt": "<", "le": "≤", "eq": "=", "ne": "≠", "and": "∧", "or": "∨"}
+
+Text = tuple[str, int]  # MathML, and how tightly it binds
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """Lines of MathML: the definitions of what is shared, then one line an output; none where it is too large."""
+
+    operations: int
+    definitions: tuple[str, ...]
+    lines: tuple[str, ...]
+
+
+def formulas(program: Program, names: Callable[[str, int], str]) -> Formulas:
+    """The outputs of a program, matrices as such.
+
+    names: (input, index) -> its name in the user's words.
+    """
+    operations = program.operations()["total"]
+    if operations > LARGEST:
+        return Formulas(operations, (), ())
+    writer = _Writer(program, names)
+    shared = writer.shared()
+    definitions = tuple(math(writer.named[k], mo("="), writer.written(k)) for k in shared)
+    lines = [_line(writer, o) for o in program.outputs]
+    return Formulas(operations, definitions, tuple(lines))
+
+
+def _line(writer: "_Writer", output: Output) -> str:
+    entries = [writer.text(n)[0] for n in output.nodes]
+    rows = [entries[k : k + output.columns] for k in range(0, len(entries), output.columns)]
+    return math(symbol(output.name), mo("="), matrix(rows))
+
+
+class _Writer:
+    """Writes the values of one program; what is named is written once."""
+
+    def __init__(self, program: Program, names: Callable[[str, int], str]) -> None:
+        self._instrs = program.instrs
+        self._outputs = program.outputs
+        self._program = program
+        self._names = names
+        self._known: dict[int, Text] = {}
+        self.named: dict[int, str] = {}
+
+    def shared(self) -> list[int]:
+        """What gets a name, in the order of computation: used more than once and worth it."""
+        alive = sorted(live(self._program, (n for o in self._outputs for n in o.nodes)))
+        uses = Counter(a for k in alive for a in self._instrs[k].args)
+        uses += Counter(n for o in self._outputs for n in o.nodes)
+        size: dict[int, int] = {}
+        for k in alive:
+            size[k] = sum(size[a] for a in self._instrs[k].args) + (self._instrs[k].const is None)
+        if sum(size[n] for o in self._outputs for n in o.nodes) <= INLINE:
+            return []
+        chosen: list[int] = []
+        for k in alive:
+            own = sum(size[a] for a in self._instrs[k].args) + (self._instrs[k].const is None)
+            size[k] = own
+            if own >= SHARED and uses[k] > 1 and self._instrs[k].op != "neg":
+                chosen.append(k)
+                size[k] = 0
+                self.named[k] = tag("msub", mi("w"), mn(str(len(chosen))))
+        return chosen
+
+    def text(self, k: int) -> Text:
+        if k in self.named:
+            return self.named[k], _ATOM
+        if k not in self._known:
+            self._known[k] = self._write(k)
+        return self._known[k]
+
+    def written(self, k: int) -> str:
+        """The value of what has a name, in full."""
+        return self._write(k)[0]
+
+    def _write(self, k: int) -> Text:
+        instr = self._instrs[k]
+        if isinstance(instr.const, Fraction):
+            return _number(instr.const)
+        if instr.const is not None:
+            return symbol(self._names(*instr.const)), _ATOM
+        if instr.op in ("add", "sub", "neg"):
+            return self._sum(k)
+        if instr.op in ("mul", "div"):
+            return self._product(k)
+        return self._function(k)
+
+    # ---- sums ----
+
+    def _terms(self, k: int, sign: int, first: bool = True) -> list[tuple[int, int]]:
+        """(sign, node) of a sum, its inner sums opened."""
+        instr = self._instrs[k]
+        if k in self.named and not first:
+            return [(sign, k)]
+        if instr.op == "add":
+            return [t for a in instr.args for t in self._terms(a, sign, False)]
+        if instr.op == "sub":
+            return self._terms(instr.args[0], sign, False) + self._terms(instr.args[1], -sign, False)
+        if instr.op == "neg":
+            return self._terms(instr.args[0], -sign, False)
+        return [(sign, k)]
+
+    def _sum(self, k: int) -> Text:
+        terms = self._terms(k, 1)
+        if terms[0][0] < 0:  # not with a minus if it need not
+            terms = sorted(terms, key=lambda t: t[0] < 0)
+        parts: list[str] = []
+        for place, (sign, node) in enumerate(terms):
+            negative, text = self._unsigned(node)
+            minus = (sign < 0) != negative
+            if place or minus:
+                parts.append(mo("−" if minus else "+"))
+            parts.append(text)
+        return row(*parts), _SUM
+
+    def _unsigned(self, node: int) -> tuple[bool, str]:
+        """A term, and whether a minus has to go before it."""
+        const = self._instrs[node].const
+        if isinstance(const, Fraction) and const < 0:
+            return True, _number(-const)[0]
+        if self._instrs[node].op in ("mul", "div") and node not in self.named:
+            negative, text, _ = self._fraction(node)
+            return negative, text
+        text, binding = self.text(node)
+        return False, text if binding > _SUM else bracketed(text)
+
+    # ---- products ----
+
+    def _factors(self, k: int, up: bool, first: bool = True) -> list[tuple[bool, int]]:
+        """(above the line, node) of a product, its inner products and quotients opened."""
+        instr = self._instrs[k]
+        if (k in self.named and not first) or instr.op not in ("mul", "div", "neg"):
+            return [(up, k)]
+        if instr.op == "neg":
+            return [(up, -1), *self._factors(instr.args[0], up, False)]
+        second = up if instr.op == "mul" else not up
+        return self._factors(instr.args[0], up, False) + self._factors(instr.args[1], second, False)
+
+    def _product(self, k: int) -> Text:
+        negative, text, binding = self._fraction(k)
+        return (row(mo("−"), text), _SUM) if negative else (text, binding)
+
+    def _fraction(self, k: int) -> tuple[bool, str, int]:
+        """Sign, text and binding of a product or a quotient."""
+        number = Fraction(1)
+        above: Counter[int] = Counter()
+        below: Counter[int] = Counter()
+        for up, node in self._factors(k, True):
+            const = Fraction(-1) if node < 0 else self._instrs[node].const
+            if isinstance(const, Fraction) and const != 0:
+                number = number * const if up else number / const
+            else:
+                (above if up else below)[node] += 1
+        negative, number = number < 0, _as_fraction(abs(number))
+        top, bottom = self._powers(above), self._powers(below)
+        over, under = (number.numerator, number.denominator) if number.denominator <= _SHORT else (None, 1)
+        if over is None:
+            top.insert(0, _number(number))
+        elif over != 1:
+            top.insert(0, (mn(str(over)), _ATOM))
+        if under != 1:
+            bottom.insert(0, (mn(str(under)), _ATOM))
+        if not bottom:
+            return negative, _juxtaposed(top), _PRODUCT if len(top) > 1 else top[0][1]
+        return negative, tag("mfrac", _juxtaposed(top), _juxtaposed(bottom)), _PRODUCT
+
+    def _powers(self, factors: Counter[int]) -> list[Text]:
+        ordered = sorted(factors, key=self._place)
+        return [self._power(node, count) for node, count in ((n, factors[n]) for n in ordered)]
+
+    def _place(self, node: int) -> int:
+        """Symbols first, functions after them, sums in brackets last."""
+        instr = self._instrs[node]
+        if node in self.named or instr.const is not None:
+            return 0
+        return 2 if instr.op in ("add", "sub") else 1
+
+    def _power(self, node: int, count: int) -> Text:
+        if count == 1:
+            return self.text(node)
+        instr = self._instrs[node]
+        if instr.op in ("sin", "cos", "tan") and node not in self.named:
+            return self._trigonometric(instr.op, instr.args[0], count), _PRODUCT
+        text, binding = self.text(node)
+        return tag("msup", text if binding == _ATOM else bracketed(text), mn(str(count))), _ATOM
+
+    # ---- functions ----
+
+    def _function(self, k: int) -> Text:
+        instr = self._instrs[k]
+        arguments = [self.text(a) for a in instr.args]
+        texts = [text for text, _ in arguments]
+        if instr.op == "sqrt":
+            return tag("msqrt", texts[0]), _ATOM
+        if instr.op == "fabs":
+            return row(mo("|"), texts[0], mo("|")), _ATOM
+        if instr.op == "pow":
+            base = texts[0] if arguments[0][1] == _ATOM else bracketed(texts[0])
+            return tag("msup", base, texts[1]), _PRODUCT
+        if instr.op == "exp":
+            return tag("msup", mi("e", upright=True), texts[0]), _PRODUCT
+        if instr.op in ("sin", "cos", "tan"):
+            return self._trigonometric(instr.op, instr.args[0], 1), _PRODUCT
+        if instr.op in _SIGNS:
+            return row(_closed(arguments[0]), mo(_SIGNS[instr.op]), _closed(arguments[1])), _SUM
+        inner = [part for place, text in enumerate(texts) for part in (mo(",") if place else "", text)]
+        return row(mi(_WORDS.get(instr.op, instr.op)), bracketed("".join(inner))), _ATOM
+
+    def _trigonometric(self, op: str, argument: int, power: int) -> str:
+        name = mi(op) if power == 1 else tag("msup", mi(op), mn(str(power)))
+        text, binding = self.text(argument)
+        space = tag("mspace", width="0.17em")
+        return row(name, *((space, text) if binding == _ATOM else (bracketed(text),)))
+
+
+def _juxtaposed(factors: Sequence[Text]) -> str:
+    """Factors side by side; a number between others gets a dot."""
+    if not factors:
+        return mn("1")
+    if len(factors) == 1:
+        return factors[0][0]
+    parts: list[str] = []
+    for place, (text, binding) in enumerate(factors):
+        if place:
+            digit = text.startswith("<mn>")
+            parts.append(mo("·") if digit else tag("mspace", width="0.17em"))
+        parts.append(text if binding > _SUM else bracketed(text))
+    return row(*parts)
+
+
+def _closed(operand: Text) -> str:
+    text, binding = operand
+    return text if binding > _SUM else bracketed(text)
+
+
+def _as_fraction(value: Fraction) -> Fraction:
+    """One twelfth for 0.08333333333333333; what has a short decimal is no fraction, but for the simplest."""
+    near = value.limit_denominator(_SHORT)
+    short = len(f"{float(value):.15g}") <= 6 and near.denominator not in (1, 2, 3, 4, 6, 8)
+    return near if not short and abs(near - value) <= abs(value) / 10**15 else value
+
+
+def _number(value: Fraction) -> Text:
+    """As a fraction where that is short, else the shortest decimal."""
+    if value < 0:
+        return row(mo("−"), _number(-value)[0]), _SUM
+    if value.denominator == 1 and value.numerator < 10**6:
+        return mn(str(value.numerator)), _ATOM
+    text = f"{float(value):.12g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        digits = mn(str(abs(int(exponent))))
+        power = tag("msup", mn("10"), row(mo("−"), digits) if int(exponent) < 0 else digits)
+        return (power, _PRODUCT) if mantissa == "1" else (row(mn(mantissa), mo("·"), power), _PRODUCT)
+    return mn(text), _ATOM

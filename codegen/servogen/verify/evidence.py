@@ -1,0 +1,207 @@
+"""Evidence for assessors: python -m servogen.verify.evidence.
+
+MISRA C:2012 by cppcheck's addon, for generated C and for CasADi's under the same command; clang-tidy; and the branches
+of the solver that the families of `servogen stress` take, by gcov. Findings and branches that stand are listed with
+their reasons in evidence.toml; what is not listed there fails.
+"""
+
+import argparse
+import ctypes
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from servogen.bench.contenders import casadi_c
+from servogen.bench.inputs import drawn
+from servogen.compiler import build, build_solver
+from servogen.loading import builtin_names, load_scene
+from servogen.scalars import Scalar
+from servogen.scene.solver import Solver
+from servogen.tools import find_tool
+from servogen.twins.compiled import CROSS_CHECK_FLAGS, CompiledSolver, stack_source
+from servogen.verify.stress import stress
+from servogen.verify.stress.bench import SolverTwin
+
+TIDY = "clang-analyzer-*,bugprone-*,cert-*,misc-*,portability-*,performance-*"
+NOT_TIDY = (
+    "bugprone-easily-swappable-parameters",  # every matrix is a pointer to a scalar
+    "misc-include-cleaner",
+)
+_DUMP = "void __gcov_dump(void);\nvoid dump_coverage(void);\nvoid dump_coverage(void) { __gcov_dump(); }\n"
+SHAPES = ((1, 3), (4, 1), (2, 2), (3, 7), (7, 3))
+"""One of each kind of solver: one row, one column, square, wide, tall."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding of an analyser: rule or check, and where."""
+
+    file: str
+    line: int
+    rule: str
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch that no test took: the function, and its line as it stands."""
+
+    function: str
+    line: int
+    text: str
+    reason: str
+
+
+@cache
+def listed() -> dict[str, Any]:
+    """evidence.toml."""
+    return tomllib.loads((Path(__file__).parent / "evidence.toml").read_text())
+
+
+def misra(files: Iterable[Path], *flags: str) -> list[Finding]:
+    """All findings of cppcheck's MISRA addon; its own warning of unset variables counts as rule 9.1. ToolMissing."""
+    found = []
+    for file in files:
+        command = [find_tool("cppcheck", "cppcheck"), "--std=c99", "--addon=misra", "--quiet", "--enable=style"]
+        template = "--template={file}|{line}|{id}"
+        done = subprocess.run([*command, template, *flags, str(file)], capture_output=True, text=True)
+        for text in done.stderr.splitlines():
+            _, line, rule = text.rsplit("|", 2) if text.count("|") >= 2 else ("", "0", "")
+            rule = "misra-c2012-9.1" if rule in ("uninitvar", "ctuuninitvar") else rule
+            if rule.startswith("misra-c2012-"):
+                found.append(Finding(file.name, int(line), rule.removeprefix("misra-c2012-")))
+    return found
+
+
+def unlisted(findings: Iterable[Finding]) -> list[Finding]:
+    """Those that are not advisory and have no reason in evidence.toml."""
+    rules = listed()["misra"]
+    return [f for f in findings if not _stands(rules.get(f.rule, {}))]
+
+
+def _stands(rule: dict[str, str]) -> bool:
+    return rule.get("category") == "advisory" or "reason" in rule
+
+
+def tidy(files: Iterable[Path], *flags: str) -> list[Finding]:
+    """What clang-tidy finds in C files. ToolMissing."""
+    checks = f"-*,{TIDY}," + ",".join(f"-{c}" for c in NOT_TIDY)
+    found = []
+    for file in files:
+        command = [find_tool("clang-tidy", "clang-tidy"), f"--checks={checks}", "--quiet", str(file), "--", "-std=c99"]
+        done = subprocess.run([*command, f"-I{file.parent}", *flags], capture_output=True, text=True)
+        for m in re.finditer(r":(\d+):\d+: (?:warning|error): .*\[([\w.,-]+)\]$", done.stdout, re.MULTILINE):
+            found.append(Finding(file.name, int(m[1]), m[2]))
+    return found
+
+
+def casadi_source(scene_name: str, folder: Path) -> Path:
+    """CasADi's own C for a scene's matrix, right side and answer."""
+    scene = load_scene(scene_name)
+    contender = casadi_c(scene, drawn(scene, 4, 0), 4, "CasADi cse", cse=True)
+    for file in contender.files:
+        (folder / file.name).write_text(file.text)
+    return next(folder / f.name for f in contender.files if f.name.endswith(".c"))
+
+
+def coverage(
+    shapes: Sequence[tuple[int, int]] = SHAPES, scalars: Sequence[Scalar] = ("float64", "float32"), systems: int = 12
+) -> tuple[int, int, list[Branch]]:
+    """Branches of the solver alone, those taken, and each of those that are not, over the families of the stress."""
+    with tempfile.TemporaryDirectory(prefix="servogen-coverage-") as name:
+        folder = Path(name)
+        libraries: dict[Path, ctypes.CDLL] = {}
+
+        def make(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
+            package = build_solver(m, l, folder / f"{m}x{l}-{scalar}-{abs(hash(solver))}", scalar, solver=solver)
+            source = package.path / f"{package.prefix}.c"
+            library = package.path / "covered.so"
+            if source not in libraries:
+                flags = [*CROSS_CHECK_FLAGS, "-O0", "--coverage", "-fPIC", "-shared"]
+                gcc = find_tool("gcc", "gcc")
+                (package.path / "stack.c").write_text(stack_source(package.module) + _DUMP)
+                subprocess.run([gcc, *flags, source, "stack.c", "-o", library, "-lm"], check=True, cwd=package.path)
+                libraries[source] = ctypes.CDLL(str(library))
+            twin: Any = CompiledSolver(package.module, libraries[source])
+            return twin  # type: ignore[no-any-return]
+
+        stress(make, systems=systems, shapes=shapes, scalars=scalars)
+        counts: dict[tuple[str, int, int], int] = {}
+        lines: dict[tuple[str, int, int], tuple[str, int, str]] = {}
+        for source, library in libraries.items():
+            library.dump_coverage()
+            text = source.read_text().splitlines()
+            prefix = source.stem
+            for line in _gcov(source):
+                for k, branch in enumerate(line["branches"]):
+                    where = text[line["line_number"] - 1].strip().replace(prefix.upper(), "P").replace(prefix, "p")
+                    key = (where, k, len(line["branches"]))
+                    counts[key] = counts.get(key, 0) + branch["count"]
+                    lines[key] = (line.get("function_name", "").replace(prefix, "p"), line["line_number"], where)
+    missed = [Branch(*lines[key], _reason(lines[key][2])) for key, count in counts.items() if count == 0]
+    return len(counts), sum(c > 0 for c in counts.values()), missed
+
+
+def _gcov(source: Path) -> list[dict[str, Any]]:
+    command = [shutil.which("gcov") or "gcov", "--json-format", "--stdout", "--branch-probabilities"]
+    data = next(source.parent.glob(f"*{source.stem}.gcda"))
+    done = subprocess.run([*command, data], cwd=source.parent, capture_output=True, text=True, check=True)
+    files = [f for text in done.stdout.splitlines() for f in json.loads(text)["files"]]
+    return [line for f in files if Path(f["file"]).name == source.name for line in f["lines"]]
+
+
+def _reason(text: str) -> str:
+    return next((b["reason"] for b in listed().get("branch", ()) if re.search(b["line"], text)), "")
+
+
+def main() -> int:
+    """Print it all; 1 where something is not listed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", nargs="*", default=list(builtin_names()))
+    given = parser.parse_args()
+    good = True
+    with tempfile.TemporaryDirectory(prefix="servogen-evidence-") as name:
+        for scene in given.scenes:
+            for scalar in ("float64", "float32"):
+                package = build(load_scene(scene), Path(name) / f"{scene}-{scalar}", scalar)
+                file = package.path / f"{package.prefix}.c"
+                findings, tidied = misra([file]), tidy([file])
+                good &= not unlisted(findings) and not tidied
+                print(f"{package.prefix}: MISRA {_numbers(findings)}; clang-tidy {len(tidied)}", flush=True)
+                for f in [*unlisted(findings), *tidied]:
+                    print(f"    NOT LISTED: {f.rule} at {f.file}:{f.line}")
+            folder = Path(name) / f"casadi-{scene}"
+            folder.mkdir()
+            try:
+                theirs = casadi_source(scene, folder)
+            except Exception as problem:  # a scene CasADi's rival has no form for
+                print(f"    CasADi: none ({problem})")
+                continue
+            print(f"    CasADi's: MISRA {_numbers(misra([theirs]))}; clang-tidy {len(tidy([theirs]))}", flush=True)
+    total, taken, missed = coverage()
+    print(f"branches of the solver: {taken} of {total} taken")
+    for b in missed:
+        print(f"    {b.function}: {b.text}: {b.reason or 'NO REASON LISTED'}")
+    return 0 if good and all(b.reason for b in missed) else 1
+
+
+def _numbers(findings: Sequence[Finding]) -> str:
+    """Findings by category: how many, of how many rules, and those that are not advisory by rule."""
+    rules = listed()["misra"]
+    category = {f.rule: rules.get(f.rule, {}).get("category", "unlisted") for f in findings}
+    advisory = sum(category[f.rule] == "advisory" for f in findings)
+    others = Counter(f.rule for f in findings if category[f.rule] != "advisory")
+    text = ", ".join(f"{rule} ({n})" for rule, n in sorted(others.items()))
+    return f"{advisory} advisory, {sum(others.values())} required: {text or 'none'}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,12 @@
+"""Numerical stress of the solver: families of matrices against exact rationals, each figure beside its bar.
+
+`campaign` runs it, `families` are what it feeds, `truth` and `core` what it measures, `bars` what is allowed (NUMERICS:
+What the tests must show). Every system comes from the seed; a figure is the largest over its systems.
+"""
+
+from servogen.verify.stress.bars import BARS
+from servogen.verify.stress.campaign import stress, tasks
+from servogen.verify.stress.families import FAMILIES, SHAPES
+from servogen.verify.stress.report import StressReport, StressRow
+
+__all__ = ["BARS", "FAMILIES", "SHAPES", "StressReport", "StressRow", "stress", "tasks"]

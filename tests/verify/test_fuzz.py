@@ -1,0 +1,40 @@
+"""Fuzzing of the emitted solver: seconds of it, and that it finds what is wrong."""
+
+import platform
+import re
+
+import pytest
+from servogen.verify import fuzz
+
+
+@pytest.fixture(scope="module")
+def clang(need_tool, need_library):
+    need_library("clang", f"libclang_rt.fuzzer-{platform.machine()}.a", "libclang-rt-dev")
+    return need_tool("clang", "clang")
+
+
+def test_seconds_of_fuzzing_find_nothing(clang):
+    found = fuzz.run_target(clang, fuzz.Target(2, 3, "float64", "default"), seconds=2, seed=1)
+    assert found.passed, found.words
+    assert found.executions > 1000
+
+
+def test_a_solver_that_writes_a_nan_is_found(clang, tmp_path, monkeypatch):
+    """The fuzzer proves that it can fail: the test for infinity made deaf."""
+    import servogen.compiler as compiler
+
+    genuine = compiler.build_solver
+
+    def spoilt(*args, **options):
+        package = genuine(*args, **options)
+        source = package.path / "pinv.c"
+        text = source.read_text()
+        spoiled = re.sub(r">= UINT64_C\(0x7ff0000000000000\)", "> UINT64_C(0x7fffffffffffffff)", text)
+        assert spoiled != text
+        source.write_text(spoiled)
+        return package
+
+    monkeypatch.setattr(compiler, "build_solver", spoilt)
+    found = fuzz.run_target(clang, fuzz.Target(1, 2, "float64", "default"), seconds=4, seed=1)
+    assert not found.passed
+    assert found.input
