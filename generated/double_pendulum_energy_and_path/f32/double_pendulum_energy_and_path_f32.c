@@ -675,6 +675,7 @@ static void double_pendulum_energy_and_path_f32_vectors(double_pendulum_energy_a
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 2 * k;
         float *const far = f->right + 2 * k;
+        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 2; ++i) {
             near[i] = u[2 * k + i];
@@ -687,8 +688,17 @@ static void double_pendulum_energy_and_path_f32_vectors(double_pendulum_energy_a
                 far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const float *const other = f->right + 2 * i;
+            const float along = double_pendulum_energy_and_path_f32_inner(other, far);
+            for (j = 0; j < 2; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = double_pendulum_energy_and_path_f32_inner(far, far);
+        inverse = square > 0.0f ? 1.0f / double_pendulum_energy_and_path_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 2; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }

@@ -709,6 +709,7 @@ static void double_pendulum_energy_and_path_vectors(double_pendulum_energy_and_p
     for (k = 0; k < f->rank; ++k) {
         double *const near = f->left + 2 * k;
         double *const far = f->right + 2 * k;
+        double square, inverse;
         f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 2; ++i) {
             near[i] = u[2 * k + i];
@@ -721,8 +722,17 @@ static void double_pendulum_energy_and_path_vectors(double_pendulum_energy_and_p
                 far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const double *const other = f->right + 2 * i;
+            const double along = double_pendulum_energy_and_path_inner(other, far);
+            for (j = 0; j < 2; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = double_pendulum_energy_and_path_inner(far, far);
+        inverse = square > 0.0 ? 1.0 / double_pendulum_energy_and_path_sqrt(square) : 0.0;
         for (j = 0; j < 2; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }
