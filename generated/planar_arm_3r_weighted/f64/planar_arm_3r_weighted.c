@@ -691,6 +691,7 @@ static void planar_arm_3r_weighted_vectors(planar_arm_3r_weighted_factors *f, co
     for (k = 0; k < f->rank; ++k) {
         double *const near = f->left + 2 * k;
         double *const far = f->right + 3 * k;
+        double square, inverse;
         f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 2; ++i) {
             near[i] = u[2 * k + i];
@@ -703,8 +704,17 @@ static void planar_arm_3r_weighted_vectors(planar_arm_3r_weighted_factors *f, co
                 far[j] += near[i] * f->B[3 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const double *const other = f->right + 3 * i;
+            const double along = planar_arm_3r_weighted_inner(other, far);
+            for (j = 0; j < 3; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = planar_arm_3r_weighted_inner(far, far);
+        inverse = square > 0.0 ? 1.0 / planar_arm_3r_weighted_sqrt(square) : 0.0;
         for (j = 0; j < 3; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }

@@ -610,6 +610,7 @@ static void quaternion_pointing_f32_vectors(quaternion_pointing_f32_factors *f, 
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 3 * k;
         float *const far = f->right + 3 * k;
+        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 3; ++i) {
             near[i] = u[3 * k + i];
@@ -622,8 +623,17 @@ static void quaternion_pointing_f32_vectors(quaternion_pointing_f32_factors *f, 
                 far[j] += near[i] * f->B[3 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const float *const other = f->right + 3 * i;
+            const float along = quaternion_pointing_f32_inner(other, far);
+            for (j = 0; j < 3; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = quaternion_pointing_f32_inner(far, far);
+        inverse = square > 0.0f ? 1.0f / quaternion_pointing_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 3; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }

@@ -610,6 +610,7 @@ static void quaternion_pointing_vectors(quaternion_pointing_factors *f, const do
     for (k = 0; k < f->rank; ++k) {
         double *const near = f->left + 3 * k;
         double *const far = f->right + 3 * k;
+        double square, inverse;
         f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 3; ++i) {
             near[i] = u[3 * k + i];
@@ -622,8 +623,17 @@ static void quaternion_pointing_vectors(quaternion_pointing_factors *f, const do
                 far[j] += near[i] * f->B[3 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const double *const other = f->right + 3 * i;
+            const double along = quaternion_pointing_inner(other, far);
+            for (j = 0; j < 3; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = quaternion_pointing_inner(far, far);
+        inverse = square > 0.0 ? 1.0 / quaternion_pointing_sqrt(square) : 0.0;
         for (j = 0; j < 3; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }

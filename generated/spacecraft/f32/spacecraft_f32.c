@@ -818,31 +818,39 @@ int spacecraft_f32_control(const spacecraft_f32_model *model, const spacecraft_f
     return spacecraft_f32_solve_core(A, B, NULL, tau_dot, info);
 }
 
-/* Nearest tau with phi = 0, from Gauss and Newton: tau <- start + A+ (A (tau - start) - phi(tau)). */
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
 int spacecraft_f32_project(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *tau, spacecraft_f32_info *info)
 {
     spacecraft_f32_input at = *in;
-    float start[3], now[3], move[3], phi[1], A[3];
-    int status, j;
-    int i;
-    spacecraft_f32_copy(in->tau, start, 3);
-    spacecraft_f32_copy(start, now, 3);
-    status = spacecraft_f32_checked_phi_A(model, &at, phi, A);
-    if (status < 0) {
-        return spacecraft_f32_refuse(status, info);
-    }
-    for (i = 0; i < 1; ++i) {
-        phi[i] = -phi[i];
-    }
-    status = spacecraft_f32_solve_core(A, phi, NULL, move, info);
-    if (status < 0) {
-        return status;
-    }
-    for (j = 0; j < 3; ++j) {
-        now[j] = start[j] + move[j];
-    }
-    if (!spacecraft_f32_finite(now, 3)) {
-        return spacecraft_f32_refuse(SPACECRAFT_F32_OVERFLOW, info);
+    const uint32_t from = spacecraft_f32_largest(in->tau, 3) >> 23;
+    float now[3], move[3], phi[1], A[3];
+    int status = SPACECRAFT_F32_OK;
+    int step, i, j;
+    spacecraft_f32_copy(in->tau, now, 3);
+    for (step = 0; step < 2; ++step) {
+        uint32_t size;
+        status = spacecraft_f32_checked_phi_A(model, &at, phi, A);
+        if (status < 0) {
+            return spacecraft_f32_refuse(status, info);
+        }
+        for (i = 0; i < 1; ++i) {
+            phi[i] = -phi[i];
+        }
+        status = spacecraft_f32_solve_core(A, phi, NULL, move, info);
+        if (status < 0) {
+            return status;
+        }
+        for (j = 0; j < 3; ++j) {
+            now[j] += move[j];
+        }
+        size = spacecraft_f32_largest(now, 3);
+        if (size >= UINT32_C(0x7f800000)) {
+            return spacecraft_f32_refuse(SPACECRAFT_F32_OVERFLOW, info);
+        }
+        if (from <= (size >> 23) + 3) { /* nothing was cancelled */
+            break;
+        }
+        spacecraft_f32_copy(now, at.tau, 3);
     }
     spacecraft_f32_copy(now, tau, 3);
     return status;

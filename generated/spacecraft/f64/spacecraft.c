@@ -818,31 +818,39 @@ int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in
     return spacecraft_solve_core(A, B, NULL, tau_dot, info);
 }
 
-/* Nearest tau with phi = 0, from Gauss and Newton: tau <- start + A+ (A (tau - start) - phi(tau)). */
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
 int spacecraft_project(const spacecraft_model *model, const spacecraft_input *in, double *tau, spacecraft_info *info)
 {
     spacecraft_input at = *in;
-    double start[3], now[3], move[3], phi[1], A[3];
-    int status, j;
-    int i;
-    spacecraft_copy(in->tau, start, 3);
-    spacecraft_copy(start, now, 3);
-    status = spacecraft_checked_phi_A(model, &at, phi, A);
-    if (status < 0) {
-        return spacecraft_refuse(status, info);
-    }
-    for (i = 0; i < 1; ++i) {
-        phi[i] = -phi[i];
-    }
-    status = spacecraft_solve_core(A, phi, NULL, move, info);
-    if (status < 0) {
-        return status;
-    }
-    for (j = 0; j < 3; ++j) {
-        now[j] = start[j] + move[j];
-    }
-    if (!spacecraft_finite(now, 3)) {
-        return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
+    const uint64_t from = spacecraft_largest(in->tau, 3) >> 52;
+    double now[3], move[3], phi[1], A[3];
+    int status = SPACECRAFT_OK;
+    int step, i, j;
+    spacecraft_copy(in->tau, now, 3);
+    for (step = 0; step < 2; ++step) {
+        uint64_t size;
+        status = spacecraft_checked_phi_A(model, &at, phi, A);
+        if (status < 0) {
+            return spacecraft_refuse(status, info);
+        }
+        for (i = 0; i < 1; ++i) {
+            phi[i] = -phi[i];
+        }
+        status = spacecraft_solve_core(A, phi, NULL, move, info);
+        if (status < 0) {
+            return status;
+        }
+        for (j = 0; j < 3; ++j) {
+            now[j] += move[j];
+        }
+        size = spacecraft_largest(now, 3);
+        if (size >= UINT64_C(0x7ff0000000000000)) {
+            return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
+        }
+        if (from <= (size >> 52) + 3) { /* nothing was cancelled */
+            break;
+        }
+        spacecraft_copy(now, at.tau, 3);
     }
     spacecraft_copy(now, tau, 3);
     return status;

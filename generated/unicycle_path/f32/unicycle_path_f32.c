@@ -657,6 +657,7 @@ static void unicycle_path_f32_vectors(unicycle_path_f32_factors *f, const float 
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 2 * k;
         float *const far = f->right + 2 * k;
+        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 2; ++i) {
             near[i] = u[2 * k + i];
@@ -669,8 +670,17 @@ static void unicycle_path_f32_vectors(unicycle_path_f32_factors *f, const float 
                 far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const float *const other = f->right + 2 * i;
+            const float along = unicycle_path_f32_inner(other, far);
+            for (j = 0; j < 2; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = unicycle_path_f32_inner(far, far);
+        inverse = square > 0.0f ? 1.0f / unicycle_path_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 2; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }

@@ -691,6 +691,7 @@ static void unicycle_path_vectors(unicycle_path_factors *f, const double *u)
     for (k = 0; k < f->rank; ++k) {
         double *const near = f->left + 2 * k;
         double *const far = f->right + 2 * k;
+        double square, inverse;
         f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 2; ++i) {
             near[i] = u[2 * k + i];
@@ -703,8 +704,17 @@ static void unicycle_path_vectors(unicycle_path_factors *f, const double *u)
                 far[j] += near[i] * f->B[2 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const double *const other = f->right + 2 * i;
+            const double along = unicycle_path_inner(other, far);
+            for (j = 0; j < 2; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = unicycle_path_inner(far, far);
+        inverse = square > 0.0 ? 1.0 / unicycle_path_sqrt(square) : 0.0;
         for (j = 0; j < 2; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }
