@@ -45,7 +45,7 @@ Panel = Callable[[Any], None]
 
 
 def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, out: Path) -> tuple[Path, ...]:
-    """states, controls, psi or phi, and outputs (where there are any), each as PNG and SVG in the folder `out`."""
+    """states, controls, psi or phi, outputs and margins (where there are any), as PNG and SVG in the folder `out`."""
     units = simulation.units
     mech = scene.mechanism
     psi = trajectory.constraint_name
@@ -59,6 +59,8 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
     }
     if trajectory.outputs:
         figures["outputs"] = _output_panels(trajectory, units)
+    if simulation.sigma_min is not None or simulation.tau_max is not None:
+        figures["margins"] = _margin_panels(simulation, trajectory, units.get("tau"))
     files: list[Path] = []
     for name, panels in figures.items():
         files += _draw(trajectory, panels, out / name)
@@ -181,6 +183,26 @@ def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: Flo
         axis.set_ylabel(f"|{name} − ideal| / ideal")
 
     return panel
+
+
+def _margin_panels(simulation: Simulation, trajectory: Trajectory, unit: str | None) -> list[Panel]:
+    """What is watched, and where it would end the run."""
+    watched = [
+        ("sigma_min of the raw S", trajectory.sigma_min, simulation.sigma_min),
+        (_axis("largest |τ|", unit), np.max(np.abs(trajectory.tau), axis=1), simulation.tau_max),
+    ]
+
+    def margin(label: str, values: FloatArray, limit: float) -> Panel:
+        def panel(axis: Any) -> None:
+            axis.plot(trajectory.t, values, color=_COLOURS[0], label=label.partition(" [")[0])
+            axis.axhline(limit, label=f"limit {limit:g}", **_IDEAL)
+            axis.set_yscale("log")
+            axis.set_ylabel(label)
+            _legend(axis, 2)
+
+        return panel
+
+    return [margin(label, values, limit) for label, values, limit in watched if limit is not None]
 
 
 def _spans_decades(values: FloatArray) -> bool:
