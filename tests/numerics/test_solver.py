@@ -133,7 +133,8 @@ def _near_a_decision(S, plan):
     rows = np.abs(S).max(axis=1).astype(float)
     kept = np.where((rows > np.array(plan.atol))[:, None], S.astype(float), 0.0)
     raw = np.linalg.svd(kept, compute_uv=False)
-    unit = np.ldexp(1.0, np.frexp(np.where(rows > 0, rows, 1.0))[1] - 1)
+    length = np.linalg.norm(kept, axis=1)
+    unit = np.ldexp(1.0, np.frexp(np.where(length > 0, length, 1.0))[1] - 1)
     scaled = np.linalg.svd(kept / unit[:, None], compute_uv=False)
     deciding = scaled if plan.rank == "scaled" else raw
     if deciding[0] > 0 and np.any(np.abs(deciding / deciding[0] / plan.rtol - 1) < 1e-3):

@@ -129,7 +129,7 @@ class SolverPlan:
     qr_rounding: float  # what the rounding of Gram-Schmidt takes from sigma_min / |S|_F
     qr_margin: float  # sigma_min / |S|_F that QR must prove
     qr_limit: float  # the same for bound |S|_F^2
-    square_range: tuple[int, int]  # biased exponents of squared row lengths on which NORMAL works without scaling
+    square_ranges: tuple[tuple[int, int], ...]  # per row: biased exponents of its square with which no scaling is needed
     answer_range: tuple[int, int]  # the same for tau tau^T
     consistency: float  # relative residual of a row that counts as met
     row_range: RowRange | None  # kind "row" only; None where tolerances leave no room for the short form
@@ -262,7 +262,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
         orthogonal=_in_scalar(math.sqrt(max(m, l)) * u / 2, scalar, "orthogonal"),
         converged=(max(m, l) + 4) * u / 2,
         **_certificates(m, l, count, u, rtol),
-        **_ranges(scalar),
+        **_ranges(scalar, l, atol),
         consistency=CONSISTENCY * max(m, l) * u,
         row_range=_row_range(l, atol[0], damping, scalar) if kind == "row" else None,
     )
@@ -270,7 +270,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
 
 def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str, Any]:
     """Limits of the certificates (NUMERICS: Certificate), with margins for the rounding of the bound itself."""
-    total = 4 * m * l  # above the squared norm of S with the largest entry of each row in [1, 2)
+    total = 4 * m  # above the squared norm of S with the length of each row in [1, 2)
     rounding = ROUNDING * l * count * u
     # refined once, NORMAL's error is (u bound)^2 + u kappa: accepted where the first is the smaller
     accurate = NORMAL_SHARE * u ** (-2 / 3)
@@ -290,11 +290,24 @@ def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str
     }
 
 
-def _ranges(scalar: Scalar) -> dict[str, Any]:
-    """Biased exponents within which NORMAL needs no scaling: products that underflow are far below half an ulp."""
+def _ranges(scalar: Scalar, l: int, atol: Sequence[float]) -> dict[str, Any]:
+    """Biased exponents within which nothing needs scaling: products that underflow are far below half an ulp.
+
+    Rows that may be within their atol are outside.
+    """
     square, low, high = (500, -1000, 900) if scalar == "float64" else (40, -100, 110)
     bias = BITS[scalar].bias
-    return {"square_range": (bias - square, bias + square), "answer_range": (bias + low, bias + high)}
+    never = 2 * (bias + 1)
+    lows = [max(-square, _square_above(math.sqrt(l) * a)) for a in atol]
+    return {
+        "square_ranges": tuple((bias + a, bias + square) if a <= square else (never, never) for a in lows),
+        "answer_range": (bias + low, bias + high),
+    }
+
+
+def _square_above(bound: float) -> int:
+    """The exponent from which on s s^T is above bound^2. Since max|s|^2 >= s s^T / l, bound is sqrt(l) atol for a row."""
+    return 2 * math.frexp(bound)[1] + 1 if bound > 0 else -(2**30)
 
 
 def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
@@ -335,11 +348,8 @@ def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> Ro
     products that underflow are below half an ulp of any sum they enter.
     """
     square, task = (200, 700) if scalar == "float64" else (30, 60)
-    low = -square
-    # max|s|^2 >= s s^T / l: above these the row is neither zero nor damped
-    for bound in (math.sqrt(l) * atol, damping or 0.0):
-        if bound > 0:
-            low = max(low, 2 * math.frexp(bound)[1] + 1)
+    # above these the row is neither zero nor damped
+    low = max(-square, _square_above(math.sqrt(l) * atol), _square_above(damping or 0.0))
     if low >= square:
         return None
     bias = BITS[scalar].bias
@@ -381,9 +391,11 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     normal = _sum((1, gram), (1, factor), (1, bound), (2, substitute), (2 * n, _total(long, long)), (1, residual))
     normal = _sum((1, normal), (1, residual), (1, _total(add=2 * long, mul=long)))
     project = _sum((1, _dot(long)), (1, _total(mul=1)), (1, _total(long, long)), (1, _dot(long)))
-    qr = _sum((2 * n, _dot(long)), (triangle, project), (n, _total(div=1)))
+    cross = _sum((triangle, _dot(long)))
+    qr = _sum((n, _dot(long)), (triangle, project), (n, _total(div=1)), (int(plan.wide), cross))
     apply = _sum((triangle, _total(add=1, mul=1)), (n, _total(mul=1)), (n, _total(long, long)))
-    certified = _sum((1, qr), (1, bound), (n, _dot(long)), (2, apply), (2, residual), (1, _total(add=2 * long)))
+    careful = _sum((triangle, _total(add=1, mul=1))) if plan.wide else _sum((n, _total(long, long)))
+    certified = _sum((1, qr), (1, bound), (2, apply), (1, careful), (2, residual), (1, _total(add=2 * long)))
     if n == 2:
         svd = _total(add=9, mul=10, div=10, sqrt=5)
     else:

@@ -90,7 +90,8 @@ def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, F
         return np.zeros((plan.m, 0)), np.zeros(0), np.zeros((plan.l, 0)), np.ones(plan.m), False
 
     largest = _power_of_two(row_size[counted].max())
-    own = np.where(counted, _power_of_two(np.where(counted, row_size, 1.0)), largest)
+    row_length = row_size * np.linalg.norm(S / np.where(counted, row_size, 1.0)[:, None], axis=1)
+    own = np.where(counted, _power_of_two(np.where(counted, row_length, 1.0)), largest)
     common = np.full(plan.m, largest)
     row_unit = own if plan.rank == "scaled" else common
 

@@ -1,21 +1,25 @@
-"""One hash of all answers, from every compiler, level and board: python -m servogen.verify.bits."""
+"""One hash of all answers, from every compiler, level and board: python -m servogen.verify.bits.
+
+With --solvers 3x7 ..., one hash of 20,000 solves of each of these shapes instead, singular ones among them.
+"""
 
 import argparse
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from servogen.compiler import build
+from servogen.compiler import build, build_solver
 from servogen.loading import builtin_names, load_scene
 from servogen.plan.mathematics import Math
 from servogen.scalars import EPSILON
 from servogen.scene.scene import Scene
 from servogen.verify.campaign import VECTORS, campaign_header, run_campaign
-from servogen.verify.harness import default_states, targets
+from servogen.verify.harness import default_states, hash_solvers, targets
 
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
+SYSTEMS = 20_000
 
 
 class Build(NamedTuple):
@@ -63,6 +67,26 @@ def hashes(
     return found
 
 
+def solver_hashes(
+    shapes: Sequence[tuple[int, int]], where: Sequence[Build], systems: int = SYSTEMS
+) -> dict[str, dict[Build, str]]:
+    """By prefix, then by build: a hash over the answers of the bare solver to `systems` systems, and their infos."""
+    found: dict[str, dict[Build, str]] = {}
+    with tempfile.TemporaryDirectory(prefix="servogen-bits-") as name:
+        folder = Path(name)
+        packages = []
+        for m, l in shapes:
+            for x in EPSILON:
+                prefix = f"pinv_{m}x{l}_{x}"
+                packages.append(build_solver(m, l, folder / prefix, scalar=x, prefix=prefix).path)
+        for number, one in enumerate(where):
+            options: dict[str, Any] = {"target": one.target, "compiler": one.compiler, "optimisation": one.level}
+            printed = hash_solvers(packages, systems, build_dir=folder / f"build{number}", timeout=3600, **options)
+            for prefix, value in printed.items():
+                found.setdefault(prefix, {})[one] = value
+    return found
+
+
 def main() -> int:
     """Print the hashes; 0 if each package has but one."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -70,11 +94,19 @@ def main() -> int:
     parser.add_argument("--boards", nargs="*", default=[t for t in targets() if t != "host"])
     parser.add_argument("--scenes", nargs="*", default=list(builtin_names()))
     parser.add_argument("--math", choices=["own", "libm"], default="own")
+    parser.add_argument("--solvers", nargs="*", metavar="MxL", help="shapes of bare solvers, instead of scenes")
+    parser.add_argument("--systems", type=int, default=SYSTEMS, help="solves of each of --solvers")
     given = parser.parse_args()
     where = builds(given.boards)
     good = True
-    for name in given.scenes:
-        found = hashes([load_scene(name)], where, given.vectors, given.math, os.cpu_count() or 1)
+    each: Iterable[dict[str, dict[Build, str]]]
+    if given.solvers:
+        shapes = (tuple(map(int, shape.split("x"))) for shape in given.solvers)
+        each = (solver_hashes([(m, l)], where, given.systems) for m, l in shapes)
+    else:
+        cores = os.cpu_count() or 1
+        each = (hashes([load_scene(name)], where, given.vectors, given.math, cores) for name in given.scenes)
+    for found in each:
         for prefix, by_build in found.items():
             different = set(by_build.values())
             same = len(different) == 1 and not next(iter(different)).startswith("failed")

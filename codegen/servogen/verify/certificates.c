@@ -107,7 +107,7 @@ int main(int argc, char **argv)
         pinv_factors f;
         int i, j;
         draw(index, S);
-        if (pinv_factorise(S, &f, 0) < 0) {
+        if (pinv_factorise(S, &f, PINV_PATH_NORMAL) < 0) {
             return 3;
         }
         if (f.path == PINV_PATH_NORMAL) {

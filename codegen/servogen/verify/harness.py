@@ -193,6 +193,32 @@ def run_harness(
         return list(pool.map(check, manifests))
 
 
+def hash_solvers(
+    packages: list[Path],
+    systems: int,
+    *,
+    target: str = "host",
+    compiler: Compiler = "gcc",
+    build_dir: Path,
+    optimisation: str = "-O2",
+    timeout: float = 600.0,
+) -> dict[str, str]:
+    """By prefix, of packages of `servogen.build_solver`: a hash over the bits of `systems` answers and their infos.
+
+    8 hexadecimal digits; "failed: ..." where the image does not run to its end. Raises as run_harness does.
+    """
+    require_target(target, compiler)
+    options = {"SOLVERS": _folders(packages), "SYSTEMS": str(systems), "OPTIMISATION": optimisation}
+    commands = build_images([], target, compiler, build_dir, options)
+    found = {}
+    for prefix in [_manifest(path)["prefix"] for path in packages]:
+        code, log = execute(commands[f"bits_{prefix}"], timeout)
+        words = next((w for w in map(words_of, log.splitlines()) if w[""] == "bits"), {})
+        good = code == 0 and "hash" in words
+        found[prefix] = words["hash"] if good else f"failed: {complaint_of(log, code) or f'exit code {code}'}"
+    return found
+
+
 def read_log(
     vectors: VectorSet, target: str, preset: str, exit_code: int, log: str, image: Path = Path()
 ) -> HarnessResult:
@@ -293,7 +319,7 @@ def build_images(
     """
     build_dir = build_dir.resolve()
     settings = {
-        "PACKAGES": ";".join(p.resolve().as_posix() for p in packages),
+        "PACKAGES": _folders(packages),
         "VECTORS": (build_dir / "vectors").as_posix(),
         **options,
     }
@@ -302,6 +328,10 @@ def build_images(
     _run([find_tool("cmake", "cmake"), "--preset", _preset(target, compiler), "-B", build_dir, *given])
     _run([find_tool("cmake", "cmake"), "--build", build_dir])
     return _test_commands(build_dir)
+
+
+def _folders(packages: list[Path]) -> str:
+    return ";".join(p.resolve().as_posix() for p in packages)
 
 
 def _environment() -> dict[str, str]:

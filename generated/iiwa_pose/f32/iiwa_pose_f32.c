@@ -893,7 +893,6 @@ static void iiwa_pose_f32_vectors(iiwa_pose_f32_factors *f, const float *u)
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 6 * k;
         float *const far = f->right + 8 * k;
-        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 6; ++i) {
             near[i] = u[8 * k + i];
@@ -906,17 +905,8 @@ static void iiwa_pose_f32_vectors(iiwa_pose_f32_factors *f, const float *u)
                 far[j] += near[i] * f->B[8 * i + j];
             }
         }
-        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
-            const float *const other = f->right + 8 * i;
-            const float along = iiwa_pose_f32_inner(other, far);
-            for (j = 0; j < 8; ++j) {
-                far[j] -= along * other[j];
-            }
-        }
-        square = iiwa_pose_f32_inner(far, far);
-        inverse = square > 0.0f ? 1.0f / iiwa_pose_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 8; ++j) {
-            far[j] *= inverse;
+            far[j] *= f->gain[k];
         }
     }
 }

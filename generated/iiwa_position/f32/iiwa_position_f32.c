@@ -764,7 +764,6 @@ static void iiwa_position_f32_vectors(iiwa_position_f32_factors *f, const float 
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 3 * k;
         float *const far = f->right + 8 * k;
-        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 3; ++i) {
             near[i] = u[3 * k + i];
@@ -777,17 +776,8 @@ static void iiwa_position_f32_vectors(iiwa_position_f32_factors *f, const float 
                 far[j] += near[i] * f->B[8 * i + j];
             }
         }
-        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
-            const float *const other = f->right + 8 * i;
-            const float along = iiwa_position_f32_inner(other, far);
-            for (j = 0; j < 8; ++j) {
-                far[j] -= along * other[j];
-            }
-        }
-        square = iiwa_position_f32_inner(far, far);
-        inverse = square > 0.0f ? 1.0f / iiwa_position_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 8; ++j) {
-            far[j] *= inverse;
+            far[j] *= f->gain[k];
         }
     }
 }

@@ -798,7 +798,6 @@ static void iiwa_position_vectors(iiwa_position_factors *f, const double *u)
     for (k = 0; k < f->rank; ++k) {
         double *const near = f->left + 3 * k;
         double *const far = f->right + 8 * k;
-        double square, inverse;
         f->gain[k] = f->sigma[k] > 0.0 ? 1.0 / f->sigma[k] : 0.0;
         for (i = 0; i < 3; ++i) {
             near[i] = u[3 * k + i];
@@ -811,17 +810,8 @@ static void iiwa_position_vectors(iiwa_position_factors *f, const double *u)
                 far[j] += near[i] * f->B[8 * i + j];
             }
         }
-        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
-            const double *const other = f->right + 8 * i;
-            const double along = iiwa_position_inner(other, far);
-            for (j = 0; j < 8; ++j) {
-                far[j] -= along * other[j];
-            }
-        }
-        square = iiwa_position_inner(far, far);
-        inverse = square > 0.0 ? 1.0 / iiwa_position_sqrt(square) : 0.0;
         for (j = 0; j < 8; ++j) {
-            far[j] *= inverse;
+            far[j] *= f->gain[k];
         }
     }
 }

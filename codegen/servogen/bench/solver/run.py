@@ -24,6 +24,7 @@ HERE = Path(__file__).parent
 N = 64
 SHAPES = ((2, 3), (3, 4), (3, 7), (6, 7), (6, 12))
 FLAGS = ("-O2", "-march=native")
+COUNTED_FLAGS = ("-O2", "-march=haswell")  # valgrind knows no AVX-512
 NAMES = ("auto", "auto with info", "forced svd", "COD", "JacobiSVD", "gelsd", "gelsy", "gesvj", "uncertified Cholesky")
 BARS = {"normal": {"COD": 6, "JacobiSVD": 9, "gelsd": 20}, "qr": {"COD": 3, "JacobiSVD": 5, "gelsd": 12}}
 
@@ -43,13 +44,14 @@ def build(
     m: int, l: int, scalar: Scalar, folder: Path, *, callgrind: bool = False, compilers: Any = ("gcc", "g++")
 ) -> Any:
     """The driver for one shape and scalar."""
+    flags = COUNTED_FLAGS if callgrind else FLAGS
     objects = []
     for prefix, solver in (("ours", sg.Solver()), ("forced", sg.Solver(method="svd"))):
         package = sg.build_solver(m, l, folder / prefix, scalar=scalar, prefix=prefix, solver=solver)
-        target = folder / f"{prefix}.o"
+        target = folder / f"{prefix}{'-counted' * callgrind}.o"
         source = str(package.path / f"{prefix}.c")
         subprocess.run(
-            [compilers[0], "-std=c99", "-ffp-contract=off", *FLAGS, "-c", source, "-o", str(target)], check=True
+            [compilers[0], "-std=c99", "-ffp-contract=off", *flags, "-c", source, "-o", str(target)], check=True
         )
         objects.append(str(target))
     headers = [f'-D{name.upper()}_HEADER="{folder}/{name}/{name}.h"' for name in ("ours", "forced")]
@@ -58,7 +60,7 @@ def build(
     program = folder / ("callgrind" if callgrind else "driver")
     rivals = folder / f"rivals-{program.name}.o"
     if not rivals.exists():  # Eigen takes its time
-        command = [compilers[1], "-std=c++17", "-DNDEBUG", *FLAGS, "-I/usr/include/eigen3", *defines]
+        command = [compilers[1], "-std=c++17", "-DNDEBUG", *flags, "-I/usr/include/eigen3", *defines]
         subprocess.run([*command, "-c", str(HERE / "rivals.cpp"), "-o", str(rivals)], check=True)
     subprocess.run([compilers[1], str(rivals), *objects, "-o", str(program), "-llapacke", "-lopenblas"], check=True)
     return program
