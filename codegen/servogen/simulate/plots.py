@@ -213,7 +213,9 @@ def _spans_decades(values: FloatArray) -> bool:
 def _legend(axis: Any, count: int) -> None:
     if count > 1:
         above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-        axis.legend(ncols=min(count, 4), handlelength=1.6, **above)
+        longest = max(len(label) for label in axis.get_legend_handles_labels()[1])
+        columns, size = (min(count, 4), 10) if longest < 24 else (3, 8)
+        axis.legend(ncols=columns, fontsize=size, handlelength=1.6, **above)
 
 
 def _axis(name: str, unit: str | None) -> str:
@@ -233,5 +235,6 @@ def _math(name: str) -> str:
     base, _, index = name.rpartition("_")
     if not base or not index.isdigit():
         base, index = name, ""
-    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{base.replace('_', ' ')}}}" if len(base) > 1 else base
+    spaced = base.replace("_", r"\ ")
+    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{spaced}}}" if len(base) > 1 else base
     return f"${text}_{{{index}}}$" if index else f"${text}$"
