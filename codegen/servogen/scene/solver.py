@@ -21,7 +21,8 @@ class Solver:
     method: "auto" takes the cheapest step that is proven safe, "svd" goes straight to the SVD.
     rank: "scaled" decides the rank on S with its rows scaled by powers of two, so that a constraint's unit does not
         matter; "raw" on S itself, as numpy, scipy and MATLAB do.
-    rtol: singular values at or below rtol times the largest count as zero; default max(m, l) * eps.
+    rtol: singular values at or below rtol times the largest count as zero; default max(m, l) * eps, and never less than
+        sqrt(min(m, l)) * eps, below which no singular vector is known.
     atol: rows whose largest entry is at or below atol count as zero; a number, or one per row; default 0.
     damping: eps_d; singular values of the raw S below it are damped, exactly none above; default none.
     """

@@ -2,9 +2,8 @@
 
 import subprocess
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from servogen.plan.solver import plan_solver
 from servogen.scalars import EPSILON, Scalar
@@ -29,15 +28,6 @@ class Certificates:
     false_qr: int
     quick: int
     false_quick: int
-
-    @property
-    def passed(self) -> bool:
-        """No certificate in vain, and enough of them for that to mean something."""
-        accepted = min(self.normal, self.qr, self.quick)
-        return self.false_normal == self.false_qr == self.false_quick == 0 and accepted > self.systems // 20
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self) | {"passed": self.passed}
 
 
 def certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) -> Certificates:

@@ -6,32 +6,53 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BARS: dict[str, float] = {
-    "error of tau / (u kappa (|tau| + |y|))": 4,
-    "error of S+ / (u kappa |S+|)": 5,
-    "residual / (u (|S| |tau| + |z|))": 1.5,
-    "error of tau / (u kappa(D^-1 S) |tau|)": 4,
-    "results whose bits differ": 0,
-    "wrong rank": 0,
-    "wrong status": 0,
-    "error of tau / (u kappa_r (|tau| + |y|))": 8,
-    "error of tau / (u kappa_r (|tau| + |y| + kappa_r |residual| / |S|))": 8,
-    "error of S+ / (u kappa_r |S+|)": 8,
-    "Penrose identities / (u kappa)": 10,
-    "|S - U s V^T| / (|S| max(m, l) u)": 5,
-    "|I - U^T U| / (m u)": 5,
-    "|I - V^T V| / (l u)": 5,
-    "outputs touched or silent NaN": 0,
-    "sweeps / cap": 1,
-    "NOT_CONVERGED": 0,
-    "false NORMAL certificates": 0,
-    "false QR certificates": 0,
-    "compilers that complain": 0,
-    "residual / (rtol |S| (|x| + |tau|)), z = S x": 10,  # singular values up to 10 rtol may be cut off
-}
+TAU = "error of tau / (u kappa (|tau| + |y|))"
+PINV = "error of S+ / (u kappa |S+|)"
+RESIDUAL = "residual / (u (|S| |tau| + |z|))"
+GRADED = "error of tau / (u kappa(D^-1 S) |tau|)"
+BITS = "results whose bits differ"
+RANK = "wrong rank"
+STATUS = "wrong status"
+TAU_R = "error of tau / (u kappa_r (|tau| + |y|))"
+TAU_LS = "error of tau / (u kappa_r (|tau| + |y| + kappa_r |residual| / |S|))"
+PINV_R = "error of S+ / (u kappa_r |S+|)"
+PENROSE = "Penrose identities / (u kappa)"
+SVD_BACK = "|S - U s V^T| / (|S| max(m, l) u)"
+SVD_LEFT = "|I - U^T U| / (m u)"
+SVD_RIGHT = "|I - V^T V| / (l u)"
+TOUCHED = "outputs touched or silent NaN"
+SWEEPS = "sweeps / cap"
+CAPPED = "NOT_CONVERGED"
+FALSE_NORMAL = "false NORMAL certificates"
+FALSE_QR = "false QR certificates"
+IDLE = "steps that never gave a certificate"
+COMPLAINTS = "compilers that complain"
+NEAR = "residual / (rtol |S| (|x| + |tau|)), z = S x"
 
-(TAU, PINV, RESIDUAL, GRADED, BITS, RANK, STATUS, TAU_R, TAU_LS, PINV_R, PENROSE, SVD_BACK, SVD_LEFT, SVD_RIGHT,
- TOUCHED, SWEEPS, CAPPED, FALSE_NORMAL, FALSE_QR, COMPLAINTS, NEAR) = BARS  # fmt: skip
+BARS: dict[str, float] = {
+    TAU: 4,
+    PINV: 5,
+    RESIDUAL: 1.5,
+    GRADED: 4,
+    BITS: 0,
+    RANK: 0,
+    STATUS: 0,
+    TAU_R: 8,
+    TAU_LS: 8,
+    PINV_R: 8,
+    PENROSE: 10,
+    SVD_BACK: 5,
+    SVD_LEFT: 5,
+    SVD_RIGHT: 5,
+    TOUCHED: 0,
+    SWEEPS: 1,
+    CAPPED: 0,
+    FALSE_NORMAL: 0,
+    FALSE_QR: 0,
+    IDLE: 0,
+    COMPLAINTS: 0,
+    NEAR: 10,  # singular values up to 10 rtol may be cut off
+}
 
 
 @dataclass(frozen=True)

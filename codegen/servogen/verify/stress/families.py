@@ -18,6 +18,7 @@ from servogen.verify.stress.bars import (
     FALSE_NORMAL,
     FALSE_QR,
     GRADED,
+    IDLE,
     NEAR,
     PINV,
     PINV_R,
@@ -419,11 +420,13 @@ def _sweeps(task: Task, bench: Bench) -> Iterator[Figure]:
 
 
 def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
-    """Whether a certificate was ever given in vain, of the systems that were given one."""
+    """Whether a certificate was ever given in vain, of the systems that were given one, and whether each step gives any."""
     found = certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
     yield Figure(FALSE_QR, found.false_quick, found.quick)
+    steps = (found.normal, found.qr, found.quick)
+    yield Figure(IDLE, float(sum(accepted == 0 for accepted in steps)), found.systems)
 
 
 def _every_shape(task: Task, bench: Bench) -> Iterator[Figure]:
