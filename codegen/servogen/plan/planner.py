@@ -23,6 +23,7 @@ from servogen.plan.module import (
     StructField,
     Target,
 )
+from servogen.plan.noise import row_noise
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
 from servogen.scalars import EPSILON, Scalar
@@ -48,7 +49,7 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     entry_points = [EntryPoint(name, cutter.kernel(name)) for name in names]
     if scene.kind != "ideal":
         entry_points.append(EntryPoint(f"{system.matrix}_{system.right}", cutter.kernel(system.matrix, system.right)))
-    solver = dataclasses.replace(plan_solver(*scene.system_shape, target.scalar, scene.solver), root=_root(target))
+    solver = dataclasses.replace(plan_scene_solver(formulation, optimised, target.scalar), root=_root(target))
     control = _plan_control(formulation, staged, cutter, solver)
     always = ({"tau"} if system.tau_is_state else set()) | ({"y"} if control.y == "input" else set())
     inputs = _used(scene.input_fields(), staged.tick, always)
@@ -67,6 +68,15 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
         mass_tolerance=_mass_tolerance(scene, target.scalar),
         skipped=_skipped(formulation, optimised, control, solver, inputs, staged),
     )
+
+
+def plan_scene_solver(formulation: Formulation, optimised: SceneProgram, scalar: Scalar) -> SolverPlan:
+    """The solver of the scene's system, without a root; rows' tolerances that the user left open are their noise."""
+    scene, solver = formulation.scene, formulation.scene.solver
+    if solver.atol is None:
+        noise = row_noise(scene, optimised.program, formulation.factorised, scalar)
+        solver = dataclasses.replace(solver, atol=noise)
+    return plan_solver(*scene.system_shape, scalar, solver)
 
 
 def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", solver: SolverPlan) -> ControlPlan:

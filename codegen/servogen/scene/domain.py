@@ -8,6 +8,7 @@ import numpy as np
 from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene, State
+from servogen.scene.symbols import Field
 
 # Where the user states no range: an angle's period, and magnitudes of one.
 _DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
@@ -18,15 +19,25 @@ def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
     generator = np.random.default_rng(seed)
     if callable(scene.domain):
         return _draw_by_user(scene, scene.domain, count, generator)
-    ranges: dict[str, tuple[Any, Any]] = dict(scene.domain or {})
     states: State = {}
     for f in scene.input_fields():
-        lo, hi = ranges.get(f.name, _around_default(f.name, f.default))
+        lo, hi = _range(scene, f)
         unit = generator.random((count, f.size))
-        states[f.name] = (
-            np.asarray(lo, dtype=float) + (np.asarray(hi, dtype=float) - np.asarray(lo, dtype=float)) * unit
-        )
+        states[f.name] = lo + (hi - lo) * unit
     return states
+
+
+def domain_box(scene: Scene, drawn: State) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """name -> (lowest, highest) entries of each input: by the domain's ranges, or by `drawn` where it is a callable."""
+    if callable(scene.domain):
+        return {name: (values.min(axis=0), values.max(axis=0)) for name, values in drawn.items()}
+    return {f.name: _range(scene, f) for f in scene.input_fields()}
+
+
+def _range(scene: Scene, f: Field) -> tuple[FloatArray, FloatArray]:
+    ranges: dict[str, tuple[Any, Any]] = {} if callable(scene.domain) else dict(scene.domain or {})
+    lo, hi = ranges.get(f.name, _around_default(f.name, f.default))
+    return np.broadcast_to(np.asarray(lo, float), f.size), np.broadcast_to(np.asarray(hi, float), f.size)
 
 
 def _around_default(name: str, default: tuple[float, ...]) -> tuple[Any, Any]:

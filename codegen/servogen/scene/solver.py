@@ -23,7 +23,9 @@ class Solver:
         matter; "raw" on S itself, as numpy, scipy and MATLAB do.
     rtol: singular values at or below rtol times the largest count as zero; default max(m, l) * eps, and never less than
         sqrt(min(m, l)) * eps, below which no singular vector is known.
-    atol: rows whose largest entry is at or below atol count as zero; a number, or one per row; default 0.
+    atol: rows whose largest entry is at or below atol count as zero; a number, or one per row. Default: each row's
+        rounding noise where it vanishes, as cos(q) does to 6e-17 at q = pi/2; 0 for a row that has no zero in the
+        domain, or whose noise vanishes with it. `sg.build_solver`, which knows no rows: 0.
     damping: eps_d; singular values of the raw S below it are damped, exactly none above; default none.
     """
 

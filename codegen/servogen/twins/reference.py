@@ -1,17 +1,19 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import qr
 
+from servogen.compiler import optimised_scene
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
 from servogen.plan import textbook_solver
-from servogen.plan.planner import PROJECTION_CAP
-from servogen.plan.solver import plan_solver
+from servogen.plan.planner import PROJECTION_CAP, plan_scene_solver
+from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
@@ -37,11 +39,15 @@ class ReferenceTwin(Twin):
     """A scene's textbook formulas behind the interface of a twin."""
 
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
-        self._plan = plan_solver(*scene.system_shape, scalar, scene.solver)
         self._function, self._names = _jacobians(scene)
         self._fixed = set(self._names["fixed"])
         self._parameters: dict[str, FloatArray] = {}
         super().__init__(scene, scalar)
+
+    @cached_property
+    def _plan(self) -> SolverPlan:
+        """The code's tolerances: they say what counts as rank, and a row's default one is the noise of the code."""
+        return plan_scene_solver(*optimised_scene(self.scene), self.scalar)
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}

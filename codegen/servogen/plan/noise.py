@@ -1,0 +1,190 @@
+"""The rounding noise of a matrix's rows where they vanish: the default of the solver's `atol` (NUMERICS: Tolerances).
+
+At q = pi/2 the code's cos(q) is 6e-17: exact for that double, and yet noise, by which nothing must be divided. The
+zeros of a row are found by regularised Gauss-Newton (Levenberg-Marquardt) from states of the domain, moving all inputs
+together within its box.
+
+The same on every host: the last bits of its sin and cos move a zero, and so the noise there, by last bits. That makes
+another power of two only next to one, and the margin before rounding up, irrational as a factor, keeps what is exact, a
+few ulps of a round number, well away from there.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servogen.ir.adjoint import adjoints, partials, times
+from servogen.ir.evaluate import node_values
+from servogen.ir.program import Program, live, rebuild
+from servogen.ir.rounding import local_errors
+from servogen.results import FloatArray
+from servogen.scalars import EPSILON, Scalar
+from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.scene import Scene, State
+
+Numbers = NDArray[np.int64]
+
+STARTS = 32
+"""Starts for each row."""
+
+DRAWN = 256
+"""States whose bounding box stands for a domain that is a callable."""
+
+STEPS = 32
+"""Steps at most; at a double zero, each gains one bit of the place."""
+
+PATIENCE = 4
+"""Steps in a row that may fail to halve a row. Even at a zero of high order, steps come to shrink it to 1/e."""
+
+FLOOR = 2.0**-30
+"""The least regularisation, relative to the largest entry of J J^T: entries of a row may depend on each other."""
+
+NEAR = 2.0
+"""A row within NEAR times its noise has vanished."""
+
+MARGIN = 0.25
+"""Powers of two added before rounding up."""
+
+
+def row_noise(scene: Scene, program: Program, matrix: str, scalar: Scalar) -> tuple[float, ...]:
+    """Per row of the program's output `matrix`: a power of two at or above the noise of its largest entry at zeros.
+
+    Noise is first-order: every operation's rounding, and half an ulp of every input and parameter, times the entry's
+    derivative. 0 for a row without a zero in the domain's box, and for one whose noise vanishes with it. Parameters
+    are at their defaults.
+    """
+    rows, row, x = _zeros(scene, program, matrix)
+    noise = rows.noise(row, x, scalar)
+    largest = [float(np.max(noise[row == i], initial=0.0)) for i in range(rows.count)]
+    limit = float(np.finfo(scalar).max) / 4  # noise beyond is that of rows which overflow
+    return tuple(2.0 ** math.ceil(math.log2(n) + MARGIN) if 0 < n < limit else 0.0 for n in largest)
+
+
+class _Rows:
+    """The rows of a matrix (count x columns) as functions of the F inputs that they depend on; parameters are fixed.
+
+    N states each belong to one row: row (N,), x (N, F).
+    """
+
+    def __init__(self, scene: Scene, program: Program, matrix: str) -> None:
+        output = program.output(matrix)
+        self._part = rebuild(program, sorted(live(program, output.nodes)), [output])
+        self.count, self.columns = output.rows, output.columns
+        fixed = {f.name: np.array(f.default) for f in scene.parameters}
+        leaves = [(k, i.const) for k, i in enumerate(self._part.instrs) if isinstance(i.const, tuple)]
+        self._inputs = [(k, leaf) for k, leaf in leaves if leaf[0] not in fixed]
+        self._base = {i.name: fixed.get(i.name, np.zeros(i.size)) for i in self._part.inputs}
+
+    def pick(self, states: State) -> FloatArray:
+        """The inputs of states, name -> (N, size), as x."""
+        count = len(next(iter(states.values())))
+        return np.array([states[name][:, k] for _, (name, k) in self._inputs]).reshape(-1, count).T
+
+    def at(self, row: Numbers, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Entries (N, columns) and their derivatives (N, columns, F)."""
+        values = self._values(x)
+        entries = np.zeros((len(row), self.columns))
+        slopes = np.zeros((len(row), self.columns, x.shape[1]))
+        nodes = np.reshape(self._part.outputs[0].nodes, (self.count, self.columns))
+        for i in range(self.count):
+            here = row == i
+            for j in range(self.columns):
+                entries[here, j] = np.broadcast_to(values[nodes[i, j]], len(row))[here]
+        place = {node: f for f, (node, _) in enumerate(self._inputs)}
+        for node, weight in adjoints(self._part, partials(self._part, values), self._seeds(row)):
+            if node in place:
+                slopes[:, :, place[node]] = weight.T
+        return entries, slopes
+
+    def noise(self, row: Numbers, x: FloatArray, scalar: Scalar) -> FloatArray:
+        """The first-order bound of the noise of the largest entry, (N,)."""
+        if not len(row):
+            return np.zeros(0)
+        values = self._values(x)
+        local = local_errors(self._part, values, scalar)
+        for k, instr in enumerate(self._part.instrs):
+            if isinstance(instr.const, tuple):
+                local[k] = EPSILON[scalar] / 2 * np.abs(values[k])
+        total = np.zeros((self.columns, len(row)))
+        with np.errstate(all="ignore"):
+            for node, weight in adjoints(self._part, partials(self._part, values), self._seeds(row)):
+                total += times(np.abs(weight), local[node])
+        return np.asarray(np.max(total, axis=0))
+
+    def _values(self, x: FloatArray) -> list[FloatArray]:
+        states = {name: np.tile(value, (len(x), 1)) for name, value in self._base.items()}
+        for f, (_, (name, k)) in enumerate(self._inputs):
+            states[name][:, k] = x[:, f]
+        return node_values(self._part, states)
+
+    def _seeds(self, row: Numbers) -> dict[int, FloatArray]:
+        """Instruction -> (columns, N): 1 where it is that entry of the state's row."""
+        seeds: dict[int, FloatArray] = {}
+        for place, node in enumerate(self._part.outputs[0].nodes):
+            i, j = divmod(place, self.columns)
+            seeds.setdefault(node, np.zeros((self.columns, len(row))))[j, row == i] = 1.0
+        return seeds
+
+
+@lru_cache(maxsize=32)
+@np.errstate(all="ignore")  # states where the matrix does not exist drop out
+def _zeros(scene: Scene, program: Program, matrix: str) -> tuple[_Rows, Numbers, FloatArray]:
+    """The rows, and zeros of them (row, x) in the domain's box at which the noise does not vanish, in float64."""
+    rows = _Rows(scene, program, matrix)
+    drawn = draw_states(scene, DRAWN, seed=4)
+    low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in domain_box(scene, drawn).items()}) for side in (0, 1))
+    starts = rows.pick(drawn)[:STARTS]
+    row, x = np.repeat(np.arange(rows.count), STARTS), np.tile(starts, (rows.count, 1))
+    size = np.max(np.abs(rows.at(row, x)[0]), axis=1, initial=0.0)
+    known = [size[(row == i) & np.isfinite(size)] for i in range(rows.count)]
+    typical = np.array([np.median(sizes) if len(sizes) else 0.0 for sizes in known])
+    vanished = EPSILON["float64"] ** 1.5 * typical
+    row, x, size = _descend(rows, row, x, low, high, vanished)
+    noise = rows.noise(row, x, "float64")
+    kept = (size <= NEAR * noise) & (noise > vanished[row]) & np.isfinite(noise)
+    return rows, row[kept], x[kept]
+
+
+def _descend(
+    rows: _Rows, row: Numbers, x: FloatArray, low: FloatArray, high: FloatArray, vanished: FloatArray
+) -> tuple[Numbers, FloatArray, FloatArray]:
+    """Where the steps end, (row, x, largest entry): within `vanished` (per row), or when they do not help any more."""
+    width = high - low
+    entries, slopes = rows.at(row, x)
+    norm = np.linalg.norm(entries, axis=1)
+    damping, best, failed = np.full(len(row), 1e-2), norm, np.zeros(len(row), int)
+    ended: list[tuple[Numbers, FloatArray, FloatArray]] = []
+    for step in range(STEPS + 1):
+        on = np.isfinite(norm) & (norm > vanished[row]) & (failed < PATIENCE) & (step < STEPS) & (x.shape[1] > 0)
+        ended.append((row[~on], x[~on], np.max(np.abs(entries[~on]), axis=1, initial=0.0)))
+        if not on.any():
+            break
+        row, x, entries, slopes, norm = row[on], x[on], entries[on], slopes[on], norm[on]
+        damping, best, failed = damping[on], best[on], failed[on]
+        trial = np.clip(x - width * _step(entries, slopes * width, damping), low, high)
+        new_entries, new_slopes = rows.at(row, trial)
+        new_norm = np.linalg.norm(new_entries, axis=1)
+        good = new_norm < norm
+        x, norm = np.where(good[:, None], trial, x), np.where(good, new_norm, norm)
+        entries = np.where(good[:, None], new_entries, entries)
+        slopes = np.where(good[:, None, None], new_slopes, slopes)
+        damping = np.where(good, damping / 10, damping * 4)
+        failed = np.where(norm <= best / 2, 0, failed + 1)
+        best = np.where(norm <= best / 2, norm, best)
+    row, x, size = (np.concatenate(parts) for parts in zip(*ended, strict=True))
+    return row, x, size
+
+
+def _step(entries: FloatArray, slopes: FloatArray, damping: FloatArray) -> FloatArray:
+    """J^T (J J^T + damping |J J^T|)^-1 s, (N, F); zero where J is not finite, or zero."""
+    scale = np.max(np.abs(slopes), axis=(1, 2), initial=0.0)
+    good = np.isfinite(scale) & (scale > 0)
+    scale = np.where(good, scale, 1.0)
+    J = np.where(good[:, None, None], slopes / scale[:, None, None], 0.0)
+    gram = J @ J.transpose(0, 2, 1)
+    largest = np.where(good, np.max(np.abs(gram), axis=(1, 2), initial=0.0), 1.0)
+    gram += (np.maximum(damping, FLOOR) * largest)[:, None, None] * np.eye(gram.shape[1])
+    multipliers = np.linalg.solve(gram, (entries / scale[:, None])[:, :, None])
+    return np.where(good[:, None], (J.transpose(0, 2, 1) @ multipliers)[:, :, 0], 0.0)
