@@ -420,7 +420,7 @@ def _sweeps(task: Task, bench: Bench) -> Iterator[Figure]:
 
 
 def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
-    """Whether a certificate was ever given in vain, of the systems that were given one, and whether each step gives any."""
+    """Whether a certificate was ever given in vain, of the systems given one; and whether each step gives any."""
     found = certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
