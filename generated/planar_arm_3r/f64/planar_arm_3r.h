@@ -111,7 +111,7 @@ int planar_arm_3r_S_z(const planar_arm_3r_model *model, const planar_arm_3r_inpu
 int planar_arm_3r_pinv(const double *S, double *S_pinv, planar_arm_3r_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.
-   Cost: 253 operations (133 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 493 (SVD, at most 5 sweeps).
+   Cost: 253 operations (133 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 475 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *tau, planar_arm_3r_info *info);
 

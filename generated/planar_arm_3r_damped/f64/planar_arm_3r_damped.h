@@ -111,7 +111,7 @@ int planar_arm_3r_damped_S_z(const planar_arm_3r_damped_model *model, const plan
 int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_damped_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [3], y as in the scene; info may be NULL.
-   Cost: 256 operations (136 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 493 (SVD, at most 5 sweeps).
+   Cost: 256 operations (136 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 475 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *tau, planar_arm_3r_damped_info *info);
 
