@@ -1073,7 +1073,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART void double_pendulum_energy_and
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_step(const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_correct(const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         double_pendulum_energy_and_path_f32_qr_apply(qr, r, x, careful);
@@ -1096,7 +1096,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR int double_pendulum_energy_and_p
         double_pendulum_energy_and_path_f32_spread(y, 1.0f, step);
         double_pendulum_energy_and_path_f32_residual(B, z, step, r);
     }
-    double_pendulum_energy_and_path_f32_step(normal, qr, B, r, x, 0);
+    double_pendulum_energy_and_path_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
             x[j] += step[j];
@@ -1104,7 +1104,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR int double_pendulum_energy_and_p
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     double_pendulum_energy_and_path_f32_residual(B, z, x, r);
-    double_pendulum_energy_and_path_f32_step(normal, qr, B, r, step, 1);
+    double_pendulum_energy_and_path_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }

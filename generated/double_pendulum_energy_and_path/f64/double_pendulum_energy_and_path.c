@@ -1107,7 +1107,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_pat
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_step(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *B, const double *r, double *x, int careful)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_correct(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         double_pendulum_energy_and_path_qr_apply(qr, r, x, careful);
@@ -1130,7 +1130,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
         double_pendulum_energy_and_path_spread(y, 1.0, step);
         double_pendulum_energy_and_path_residual(B, z, step, r);
     }
-    double_pendulum_energy_and_path_step(normal, qr, B, r, x, 0);
+    double_pendulum_energy_and_path_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
             x[j] += step[j];
@@ -1138,7 +1138,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     double_pendulum_energy_and_path_residual(B, z, x, r);
-    double_pendulum_energy_and_path_step(normal, qr, B, r, step, 1);
+    double_pendulum_energy_and_path_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }

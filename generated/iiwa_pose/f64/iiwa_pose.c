@@ -1349,7 +1349,7 @@ static IIWA_POSE_APART void iiwa_pose_report(const double *S, const double *z, c
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSE_NEAR void iiwa_pose_step(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSE_NEAR void iiwa_pose_correct(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_pose_qr_apply(qr, r, x, careful);
@@ -1372,7 +1372,7 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
         iiwa_pose_spread(y, 1.0, step);
         iiwa_pose_residual(B, z, step, r);
     }
-    iiwa_pose_step(normal, qr, B, r, x, 0);
+    iiwa_pose_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
             x[j] += step[j];
@@ -1380,7 +1380,7 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_pose_residual(B, z, x, r);
-    iiwa_pose_step(normal, qr, B, r, step, 1);
+    iiwa_pose_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

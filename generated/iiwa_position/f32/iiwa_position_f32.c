@@ -1171,7 +1171,7 @@ static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_step(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_correct(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_f32_qr_apply(qr, r, x, careful);
@@ -1194,7 +1194,7 @@ static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f
         iiwa_position_f32_spread(y, 1.0f, step);
         iiwa_position_f32_residual(B, z, step, r);
     }
-    iiwa_position_f32_step(normal, qr, B, r, x, 0);
+    iiwa_position_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
             x[j] += step[j];
@@ -1202,7 +1202,7 @@ static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_position_f32_residual(B, z, x, r);
-    iiwa_position_f32_step(normal, qr, B, r, step, 1);
+    iiwa_position_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

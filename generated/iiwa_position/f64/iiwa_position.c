@@ -1205,7 +1205,7 @@ static IIWA_POSITION_APART void iiwa_position_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_NEAR void iiwa_position_step(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSITION_NEAR void iiwa_position_correct(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_qr_apply(qr, r, x, careful);
@@ -1228,7 +1228,7 @@ static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *n
         iiwa_position_spread(y, 1.0, step);
         iiwa_position_residual(B, z, step, r);
     }
-    iiwa_position_step(normal, qr, B, r, x, 0);
+    iiwa_position_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
             x[j] += step[j];
@@ -1236,7 +1236,7 @@ static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *n
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_position_residual(B, z, x, r);
-    iiwa_position_step(normal, qr, B, r, step, 1);
+    iiwa_position_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

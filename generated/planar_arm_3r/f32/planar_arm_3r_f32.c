@@ -1055,7 +1055,7 @@ static PLANAR_ARM_3R_F32_APART void planar_arm_3r_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static PLANAR_ARM_3R_F32_NEAR void planar_arm_3r_f32_step(const planar_arm_3r_f32_normal *normal, const planar_arm_3r_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static PLANAR_ARM_3R_F32_NEAR void planar_arm_3r_f32_correct(const planar_arm_3r_f32_normal *normal, const planar_arm_3r_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         planar_arm_3r_f32_qr_apply(qr, r, x, careful);
@@ -1078,7 +1078,7 @@ static PLANAR_ARM_3R_F32_NEAR int planar_arm_3r_f32_answer(const planar_arm_3r_f
         planar_arm_3r_f32_spread(y, 1.0f, step);
         planar_arm_3r_f32_residual(B, z, step, r);
     }
-    planar_arm_3r_f32_step(normal, qr, B, r, x, 0);
+    planar_arm_3r_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
@@ -1086,7 +1086,7 @@ static PLANAR_ARM_3R_F32_NEAR int planar_arm_3r_f32_answer(const planar_arm_3r_f
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     planar_arm_3r_f32_residual(B, z, x, r);
-    planar_arm_3r_f32_step(normal, qr, B, r, step, 1);
+    planar_arm_3r_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }

@@ -1089,7 +1089,7 @@ static PLANAR_ARM_3R_DAMPED_APART void planar_arm_3r_damped_report(const double 
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_step(const planar_arm_3r_damped_normal *normal, const planar_arm_3r_damped_qr *qr, const double *B, const double *r, double *x, int careful)
+static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_correct(const planar_arm_3r_damped_normal *normal, const planar_arm_3r_damped_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         planar_arm_3r_damped_qr_apply(qr, r, x, careful);
@@ -1112,7 +1112,7 @@ static PLANAR_ARM_3R_DAMPED_NEAR int planar_arm_3r_damped_answer(const planar_ar
         planar_arm_3r_damped_spread(y, 1.0, step);
         planar_arm_3r_damped_residual(B, z, step, r);
     }
-    planar_arm_3r_damped_step(normal, qr, B, r, x, 0);
+    planar_arm_3r_damped_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
@@ -1120,7 +1120,7 @@ static PLANAR_ARM_3R_DAMPED_NEAR int planar_arm_3r_damped_answer(const planar_ar
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     planar_arm_3r_damped_residual(B, z, x, r);
-    planar_arm_3r_damped_step(normal, qr, B, r, step, 1);
+    planar_arm_3r_damped_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }

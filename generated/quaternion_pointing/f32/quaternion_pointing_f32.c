@@ -1013,7 +1013,7 @@ static QUATERNION_POINTING_F32_APART void quaternion_pointing_f32_report(const f
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_step(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_correct(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         quaternion_pointing_f32_qr_apply(qr, r, x, careful);
@@ -1036,7 +1036,7 @@ static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const qua
         quaternion_pointing_f32_spread(y, 1.0f, step);
         quaternion_pointing_f32_residual(B, z, step, r);
     }
-    quaternion_pointing_f32_step(normal, qr, B, r, x, 0);
+    quaternion_pointing_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
@@ -1044,7 +1044,7 @@ static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const qua
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     quaternion_pointing_f32_residual(B, z, x, r);
-    quaternion_pointing_f32_step(normal, qr, B, r, step, 1);
+    quaternion_pointing_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }

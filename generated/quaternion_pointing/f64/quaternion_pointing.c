@@ -1013,7 +1013,7 @@ static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static QUATERNION_POINTING_NEAR void quaternion_pointing_step(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B, const double *r, double *x, int careful)
+static QUATERNION_POINTING_NEAR void quaternion_pointing_correct(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         quaternion_pointing_qr_apply(qr, r, x, careful);
@@ -1036,7 +1036,7 @@ static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_
         quaternion_pointing_spread(y, 1.0, step);
         quaternion_pointing_residual(B, z, step, r);
     }
-    quaternion_pointing_step(normal, qr, B, r, x, 0);
+    quaternion_pointing_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
@@ -1044,7 +1044,7 @@ static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     quaternion_pointing_residual(B, z, x, r);
-    quaternion_pointing_step(normal, qr, B, r, step, 1);
+    quaternion_pointing_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
