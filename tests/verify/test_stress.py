@@ -19,6 +19,7 @@ from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.report.stress import CLAIMS, render_stress
 from servogen.results import Info
+from servogen.tools import ToolMissing
 from servogen.verify import stress
 from servogen.verify.stress import bars, core, journal, matrices
 
@@ -279,3 +280,11 @@ def test_an_error_in_a_process_reaches_the_caller():
 
 def broken(m, l, scalar, solver):
     raise ZeroDivisionError
+
+
+def test_a_missing_compiler_is_said_before_the_hours(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(ToolMissing, match="apt-get install"):
+        stress.stress(broken, systems=5, shapes=((2, 3),), families=("dlatms spectra", "certificates"))
+    with pytest.raises(ToolMissing, match="apt-get install clang"):
+        stress.stress(broken, systems=5, shapes=((2, 3),), families=("dlatms spectra",), fuzzing=10)

@@ -80,6 +80,12 @@ def fuzz(seconds: int, chosen: Sequence[Target], *, seed: int = 1, jobs: int = 1
         yield from zip(chosen, found, strict=True)
 
 
+def require_fuzzer() -> None:
+    """Raises ToolMissing without clang and its libFuzzer."""
+    with tempfile.TemporaryDirectory(prefix="servogen-fuzz-") as name:
+        build_target(find_tool("clang", "clang"), Target(1, 1, "float64", "default"), Path(name))
+
+
 def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzzed:
     """Build one target and run it until it fails or `seconds` have passed."""
     with tempfile.TemporaryDirectory(prefix="servogen-fuzz-") as name:
