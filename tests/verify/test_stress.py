@@ -1,4 +1,4 @@
-"""The stress run: passes on the generated solver, is reproducible and resumable, and fails on solvers that are wrong."""
+"""The stress run: passes on the generated solver, is reproducible and resumable, and fails on wrong solvers."""
 
 import dataclasses
 import itertools
@@ -116,9 +116,8 @@ def test_an_interrupt_loses_nothing_finished(tmp_path):
     argv = [sys.executable, "-m", "servogen.cli.main", "stress", "--systems", "2000000", "--jobs", "2", "--out", "."]
     argv += ["--family", "NaN and infinity"]
     path = tmp_path / "journal.jsonl"
-    run = subprocess.Popen(
-        argv, cwd=tmp_path, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    quiet = subprocess.DEVNULL
+    run = subprocess.Popen(argv, cwd=tmp_path, start_new_session=True, stdout=quiet, stderr=quiet)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and (not path.exists() or path.read_text().count("\n") < 4):
         time.sleep(0.05)
@@ -148,13 +147,8 @@ def test_tasks_are_shared_by_the_shapes_and_cut_into_parts():
 
 def test_progress_counts_every_task():
     seen = []
-    stress.stress(
-        Textbook,
-        systems=3,
-        shapes=((1, 2), (1, 3)),
-        families=("dlatms spectra",),
-        progress=lambda *what: seen.append(what),
-    )
+    what = {"systems": 3, "shapes": ((1, 2), (1, 3)), "families": ("dlatms spectra",)}
+    stress.stress(Textbook, **what, progress=lambda *told: seen.append(told))
     assert [(done, total) for done, total, _ in seen] == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert seen[0][2] == "dlatms spectra 1x2 float64"
 

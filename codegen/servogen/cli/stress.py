@@ -93,9 +93,8 @@ def show_stress(report: StressReport) -> None:
     )
     for one in report.fuzzed:
         if not one.passed:
-            err.print(
-                f"fuzzing {one.m}x{one.l} {one.scalar} {one.policy}: input {one.input}\n{one.words}", markup=False
-            )
+            where = f"{one.m}x{one.l} {one.scalar} {one.policy}"
+            err.print(f"fuzzing {where}: input {one.input}\n{one.words}", markup=False)
     if report.fuzzed:
         executions = sum(one.executions for one in report.fuzzed)
         minutes = sum(one.seconds for one in report.fuzzed) / 60
