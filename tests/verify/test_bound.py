@@ -34,7 +34,8 @@ static void g(void)
 def test_limits_are_read_from_the_source():
     loops = loops_of(TEXT, {"rank": 6})
     assert [loop.turns for loop in loops] == [3, 5, 3, 3, 6, 8, 64]
-    assert [(loop.first, loop.last) for loop in loops] == [(3, 10), (4, 5), (6, 7), (8, 9), (11, 12), (13, 14), (15, 16)]
+    ends = [(3, 10), (4, 5), (6, 7), (8, 9), (11, 12), (13, 14), (15, 16)]
+    assert [(loop.first, loop.last) for loop in loops] == ends
 
 
 @pytest.mark.parametrize(
