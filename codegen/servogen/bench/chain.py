@@ -65,9 +65,11 @@ def chain(links: int) -> str:
 
 
 def positions(robot: sg.urdf.Robot, points: Sequence[str]) -> sg.Scene:
-    """The scene that places these frames."""
+    """The scene that places these frames; of a robot with less than four joints only along x."""
     ref = sg.References(**{f"r_{point}": [0.1, 0.2, 0.3] for point in points})
-    rows = [sg.Holonomic(point, robot.position(point) - getattr(ref, f"r_{point}"), **_GAINS) for point in points]
+    size = 3 if len(robot.joints) > 3 else 1
+    errors = {point: robot.position(point) - getattr(ref, f"r_{point}") for point in points}
+    rows = [sg.Holonomic(point, error[:size], **_GAINS) for point, error in errors.items()]
     base = robot.q.size1() - len(robot.joints)
     low, high = [-2.0] * robot.q.size1(), [2.0] * robot.q.size1()
     if base:

@@ -143,7 +143,7 @@ def coverage(
             twin: Any = CompiledSolver(package.module, libraries[source])
             return twin  # type: ignore[no-any-return]
 
-        stress(make, systems=systems, shapes=shapes, scalars=scalars)
+        stress(make, systems=systems * len(shapes), shapes=shapes, scalars=scalars)
         for m, l in shapes:
             for scalar in scalars:
                 _at_the_edge(make(m, l, scalar, Solver()), m, l, scalar)
