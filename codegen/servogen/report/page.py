@@ -31,6 +31,7 @@ def render_page(report: Report) -> str:
         mix=mix_of,
         summary=_summary(report),
         checks=_checks,
+        histogram=_histogram,
         bench_rows=_bench_rows,
         solver_text=_solver_text,
         statuses=_statuses,
@@ -69,6 +70,14 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
     for scene in report.scenes:
         rows.append((f"{scene.name} in closed loop", str(scene.trajectory.stop), not scene.trajectory.stop.failed))
     return rows
+
+
+def _histogram(check: OutputCheck) -> str:
+    """Shares of an output's values by their error, to the last bin that is filled."""
+    total = max(sum(check.histogram), 1)
+    filled = max((k for k, n in enumerate(check.histogram) if n), default=0)
+    shares = [100 * n / total for n in check.histogram[: filled + 1]]
+    return " ".join("0" if s == 0 else "<0.1 %" if s < 0.1 else f"{s:.3g} %" for s in shares)
 
 
 def _checks(report: Report, scene: str) -> list[OutputCheck]:
