@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from servogen.tools import ToolMissing, find_tool
+from servogen.tools import ToolMissing, find_library, find_tool
 from servogen.verify.harness import require_target
 
 
@@ -25,6 +25,20 @@ def need_tool() -> Callable[[str, str], Path]:
     def need(name: str, debian_package: str) -> Path:
         try:
             return find_tool(name, debian_package)
+        except ToolMissing as missing:
+            _skip_or_fail(missing)
+            raise AssertionError from missing
+
+    return need
+
+
+@pytest.fixture(scope="session")
+def need_library() -> Callable[[str, str, str], Path]:
+    """need_library("clang", "libm.a", "libc6-dev"): its path, as that compiler would link it."""
+
+    def need(compiler: str, file: str, debian_package: str) -> Path:
+        try:
+            return find_library(find_tool(compiler, compiler), file, debian_package)
         except ToolMissing as missing:
             _skip_or_fail(missing)
             raise AssertionError from missing

@@ -119,6 +119,12 @@ def test_ideal_torques_vanish_with_E_only_where_K_does_not_vanish_faster() -> No
     stopping = ClosedLoop(double_pendulum_ideal.scene, double_pendulum_ideal.simulation).run()
     assert stopping.stop.event == "K/E < 1e-3"
     assert np.max(np.abs(stopping.outputs["E"] / stopping.decay["E"] - 1)) < 1e-8  # E follows to t*
+    for run in (moving, stopping):  # G tau = Theta (E - E_0) Q u / (2 K) all the way
+        for k in range(0, len(run.t), len(run.t) // 40):
+            energy, kinetic, inertia = pendulum({"q": run.q[k], "u": run.u[k]})
+            force = -energy * inertia @ run.u[k] / (2 * kinetic)
+            tau = run.tau[k] if run is stopping else code.control(q=run.q[k], u=run.u[k]).value
+            assert np.allclose(np.array(ca.DM(G)) @ tau, force, rtol=1e-9, atol=1e-9)
     last = np.abs(stopping.tau[-1]).max()
     assert stopping.outputs["E"][-1] < 0.4 * stopping.outputs["E"][0]
     assert last > 4 * np.abs(stopping.tau[0]).max()

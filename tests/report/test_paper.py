@@ -45,4 +45,9 @@ def test_the_sheets_are_drawn(runs: dict[str, Trajectory], tmp_path: Path) -> No
         "paper_figures_2_to_5.png", "paper_figures_6_to_12.png", "paper_figures_13_to_21.png",
     ]  # fmt: skip
     assert all(file.stat().st_size > 20_000 and file.with_suffix(".svg").exists() for file, _ in drawn)
-    assert "neither masses" in drawn[0][1]
+    assert "neither masses, lengths nor the start" in drawn[0][1]
+    for number in ("m_B = 1", "L = 1.2", "q(0) = (1.6, -1.8)"):  # chosen, so said
+        assert number in drawn[0][1]
+    for caption in (drawn[1][1], drawn[2][1]):  # the paper's own
+        assert "I_1 = 10, I_2 = 6.3, I_3 = 8.5, a = 1" in caption
+        assert "u(0) = (0.1, 0.1, 0.1), tau(0) = (0.09998" in caption  # as printed, projected onto phi = 0

@@ -1,17 +1,16 @@
-"""Fuzzing of the emitted solver: a few seconds of it, the inputs of former findings, and that it finds what is wrong."""
+"""Fuzzing of the emitted solver: seconds of it, and that it finds what is wrong."""
 
+import platform
 import re
 
 import pytest
 from servogen.verify import fuzz
 
-FINDINGS: dict[fuzz.Target, tuple[str, ...]] = {}
-"""Inputs (hex) on which a target once failed."""
-
 
 @pytest.fixture(scope="module")
-def clang(need_tool):
-    return need_tool("clang", "clang libclang-rt-dev")
+def clang(need_tool, need_library):
+    need_library("clang", f"libclang_rt.fuzzer-{platform.machine()}.a", "libclang-rt-dev")
+    return need_tool("clang", "clang")
 
 
 def test_seconds_of_fuzzing_find_nothing(clang):
@@ -20,14 +19,8 @@ def test_seconds_of_fuzzing_find_nothing(clang):
     assert found.executions > 1000
 
 
-@pytest.mark.parametrize("target", FINDINGS, ids=str)
-def test_former_findings(clang, target):
-    done = fuzz.replay(clang, target, [bytes.fromhex(text) for text in FINDINGS[target]])
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_solver_that_writes_a_nan_is_found(clang, tmp_path, monkeypatch):
-    """The fuzzer proves that it can fail: a row's square root of the range test taken away."""
+    """The fuzzer proves that it can fail: the test for infinity made deaf."""
     import servogen.compiler as compiler
 
     genuine = compiler.build_solver

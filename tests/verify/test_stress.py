@@ -1,4 +1,4 @@
-"""The stress run: passes on the generated solver, is reproducible and resumable, and fails on solvers that are wrong."""
+"""The stress run: passes on the generated solver, is reproducible and resumable, and fails on wrong solvers."""
 
 import dataclasses
 import itertools
@@ -11,8 +11,10 @@ import time
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from distributed import Client, LocalCluster
 from servogen import exact
+from servogen.cli.main import cli
 from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.report.stress import CLAIMS, render_stress
@@ -46,7 +48,7 @@ def failures(report):
 
 
 def test_the_generated_solver_passes():
-    report = stress.stress(systems=200, shapes=SMALL)
+    report = stress.stress(systems=90, shapes=((2, 2), (2, 3), (3, 2)))
     assert failures(report) == set()
     assert report.passed
     assert {row.family for row in report.rows} == {name for name, f in stress.FAMILIES.items() if not f.long}
@@ -116,9 +118,8 @@ def test_an_interrupt_loses_nothing_finished(tmp_path):
     argv = [sys.executable, "-m", "servogen.cli.main", "stress", "--systems", "2000000", "--jobs", "2", "--out", "."]
     argv += ["--family", "NaN and infinity"]
     path = tmp_path / "journal.jsonl"
-    run = subprocess.Popen(
-        argv, cwd=tmp_path, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    quiet = subprocess.DEVNULL
+    run = subprocess.Popen(argv, cwd=tmp_path, start_new_session=True, stdout=quiet, stderr=quiet)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and (not path.exists() or path.read_text().count("\n") < 4):
         time.sleep(0.05)
@@ -148,13 +149,8 @@ def test_tasks_are_shared_by_the_shapes_and_cut_into_parts():
 
 def test_progress_counts_every_task():
     seen = []
-    stress.stress(
-        Textbook,
-        systems=3,
-        shapes=((1, 2), (1, 3)),
-        families=("dlatms spectra",),
-        progress=lambda *what: seen.append(what),
-    )
+    what = {"systems": 3, "shapes": ((1, 2), (1, 3)), "families": ("dlatms spectra",)}
+    stress.stress(Textbook, **what, progress=lambda *told: seen.append(told))
     assert [(done, total) for done, total, _ in seen] == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert seen[0][2] == "dlatms spectra 1x2 float64"
 
@@ -170,6 +166,17 @@ def test_report_is_json_and_a_page():
     page = render_stress(report)
     assert "All figures within their bars" in page
     assert bars.RESIDUAL in page
+
+
+def test_the_command(tmp_path):
+    done = CliRunner().invoke(cli, ["stress", "--family", "subnormal 2x2", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "all within their bars" in done.output
+    assert json.loads((tmp_path / "stress.json").read_text())["passed"] is True
+    assert "subnormal 2x2" in (tmp_path / "stress.html").read_text()
+    wrong = CliRunner().invoke(cli, ["stress", "--family", "nonsense"])
+    assert wrong.exit_code == 2
+    assert "choose from: dlatms spectra" in wrong.output
 
 
 def test_every_claim_of_the_page_has_one_bar():

@@ -131,7 +131,7 @@ def _spread(spots: Sequence[tuple[float, float]]) -> list[float]:
     """Heights of the labels: each at its marker's, then pushed apart, group by group (left and right apart)."""
     heights = [y for _, y in spots]
     for side in (False, True):
-        chosen = sorted((k for k, s in enumerate(spots) if (s[0] > 0.62) is side), key=lambda k: (spots[k][1], k))
+        chosen = sorted((k for k, s in enumerate(spots) if bool(s[0] > 0.62) is side), key=lambda k: (spots[k][1], k))
         groups: list[list[int]] = []
         for k in chosen:
             groups.append([k])

@@ -121,7 +121,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Built:
-    """One contender's code as compiled: seconds the compiler took for its file, bytes of instructions and constants.
+    """One contender's code as compiled: the compiler's seconds of processor time, bytes of instructions and constants.
 
     operations: of the matrix and the right side at once, counted as in the manifest; None where nobody can count.
     """

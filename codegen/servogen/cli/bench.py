@@ -2,16 +2,16 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from servogen.bench.contenders import default_contenders
-from servogen.bench.peers.peers import Peers
+from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
+from servogen.bench.solver.plot import draw as draw_precision
+from servogen.bench.solver.precision import SHAPES, Point, measure
 from servogen.cli.console import (
     FAILED,
     all_option,
@@ -26,7 +26,8 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
-from servogen.loading import load_scene, scene_module
+from servogen.loading import load_scene
+from servogen.report.precision import render_precision
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
@@ -58,9 +59,7 @@ NOTES = (
     "--peers", is_flag=True,
     help="Whole rivals, S and z at once and tau: adam, SymPy, Pinocchio; and ours less each pass.",
 )  # fmt: skip
-@click.option(
-    "--solver", is_flag=True, help="The pseudo-inverse alone, over conditions from 1 to 1e14, in DIR/solver/."
-)
+@click.option("--solver", is_flag=True, help="The pseudo-inverse alone, at conditions 1 to 1e14, in DIR/solver/.")
 @click.option("--shape", "shapes", multiple=True, metavar="MxL", help="With --solver: only this one; may be repeated.")
 @json_option
 def bench_command(
@@ -85,19 +84,11 @@ def bench_command(
     words = tuple(flags.split())
     results = []
     for spec in chosen(scenes, every):
-        scene = load_scene(spec)
-        rivals = Peers(scene_module(spec), words) if peers else None
         with progress(as_json) as advance:
-            result = bench(
-                scene,
-                rounds=rounds,
-                compiler=compiler,
-                flags=words,
-                contenders=rivals or default_contenders,
-                progress=advance,
-            )
-        if rivals:
-            result = replace(result, remarks=(*result.remarks, *rivals.remarks))
+            if peers:
+                result = bench_peers(spec, words, rounds=rounds, compiler=compiler, progress=advance)
+            else:
+                result = bench(load_scene(spec), rounds=rounds, compiler=compiler, flags=words, progress=advance)
         results.append(result)
         paths = write(result, folder / result.scene)
         if not as_json:
@@ -110,10 +101,6 @@ def bench_command(
 
 def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bool) -> None:
     """The work-precision diagrams of the solver alone: solver.json, solver.html and the plots in `folder`."""
-    from servogen.bench.solver.plot import draw as draw_precision
-    from servogen.bench.solver.precision import SHAPES, measure
-    from servogen.report.precision import render_precision
-
     chosen_shapes = [_shape(text) for text in shapes] or SHAPES
     with progress(as_json) as advance:
         found = measure(chosen_shapes, rounds=rounds, progress=advance)
@@ -130,18 +117,15 @@ def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bo
             table(
                 f"{shape} {scalar}, kappa {kappa:g}: ns a solve, largest error",
                 ("contender", "median", "99.9 %", "worst", "/ (u kappa)", "relative"),
-                [
-                    (
-                        p.contender,
-                        *(f"{t:.0f}" for t in (p.median, p.p999, p.worst)),
-                        f"{p.error:.3g}",
-                        f"{p.relative:.2g}",
-                    )
-                    for p in found.facet(shape, scalar, kappa)
-                ],
+                [_point(p) for p in found.facet(shape, scalar, kappa)],
                 right=range(1, 6),
             )
     out.print(f"wrote {folder / 'solver.html'}, solver.json and the plots", markup=False, soft_wrap=True)
+
+
+def _point(p: Point) -> tuple[str, ...]:
+    times = (f"{t:.0f}" for t in (p.median, p.p999, p.worst))
+    return (p.contender, *times, f"{p.error:.3g}", f"{p.relative:.2g}")
 
 
 def _shape(text: str) -> tuple[int, int]:

@@ -33,8 +33,11 @@ BOARD = "cortex-m4"
 )  # fmt: skip
 @click.option("--states", type=click.IntRange(1), default=500, show_default=True, help="States of the cross-check.")
 @click.option("--rounds", type=click.IntRange(1), default=10, show_default=True, help="Rounds of the benchmark.")
+@click.option("--peers", is_flag=True, help="Benchmark against whole rivals, and ours less each pass.")
 @json_option
-def report_command(scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, as_json: bool) -> None:
+def report_command(
+    scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, peers: bool, as_json: bool
+) -> None:
     """Generate, cross-check, simulate and benchmark SCENE...; one self-contained HTML page, and the files beside it."""
     names = chosen(scenes, every)
     board: str | None = BOARD
@@ -45,7 +48,7 @@ def report_command(scenes: tuple[str, ...], every: bool, folder: Path, states: i
         board = None
         skipped.append(f"the cross-check on the emulated Cortex-M4F: {missing}")
     with progress(as_json) as advance:
-        report = collect(names, folder, board, states, rounds, skipped, advance)
+        report = collect(names, folder, board, states, rounds, skipped, advance, peers)
     page = folder / "report.html"
     page.write_text(render_page(report), encoding="utf-8")
     passed = report.check.passed and (report.board is None or report.board.passed)

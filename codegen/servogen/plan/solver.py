@@ -306,7 +306,7 @@ def _ranges(scalar: Scalar, l: int, atol: Sequence[float]) -> dict[str, Any]:
 
 
 def _square_above(bound: float) -> int:
-    """The exponent from which s s^T is above bound^2; bound is sqrt(l) atol, for max|s|^2 >= s s^T / l."""
+    """The exponent from which on s s^T is above bound^2. As max|s|^2 >= s s^T / l, bound is sqrt(l) atol for a row."""
     return 2 * math.frexp(bound)[1] + 1 if bound > 0 else -(2**30)
 
 

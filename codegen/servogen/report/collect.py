@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw
 from servogen.bench.results import Bench
 from servogen.bench.run import bench
@@ -88,10 +89,11 @@ def collect(
     rounds: int,
     skipped: Sequence[str],
     progress: Progress,
+    peers: bool = False,
 ) -> Report:
     """Run everything for scenes named as on the command line; their files go to folder/<scene>/.
 
-    board: a target to repeat the cross-check on, or None.
+    board: a target to repeat the cross-check on, or None. peers: bench against whole rivals.
     """
     loaded = [(spec, *load_simulation(spec)) for spec in specs]
     steps = 4 * len(loaded) + 2 + (board is not None)
@@ -102,7 +104,7 @@ def collect(
         progress(done, steps, text)
         done += 1
 
-    scenes = [_scene_report(spec, scene, simulation, folder, rounds, say) for spec, scene, simulation in loaded]
+    scenes = [_scene_report(spec, scene, simulation, folder, rounds, peers, say) for spec, scene, simulation in loaded]
     say("cross-check on this machine")
     host = check([scene for _, scene, _ in loaded], states=states)
     emulated = None
@@ -119,7 +121,13 @@ def collect(
 
 
 def _scene_report(
-    spec: str, scene: Scene, simulation: Simulation, folder: Path, rounds: int, say: Callable[[str], None]
+    spec: str,
+    scene: Scene,
+    simulation: Simulation,
+    folder: Path,
+    rounds: int,
+    peers: bool,
+    say: Callable[[str], None],
 ) -> SceneReport:
     own = folder / scene.name
     say(f"{scene.name}: generate")
@@ -132,7 +140,7 @@ def _scene_report(
     write_csv(trajectory, own / "trajectory.csv")
     pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
     say(f"{scene.name}: run time against error")
-    measured = bench(scene, rounds=rounds)
+    measured = bench_peers(spec, rounds=rounds) if peers else bench(scene, rounds=rounds)
     drawn = next(p for p in draw(measured, own) if p.suffix == ".png")
     say(f"{scene.name}: step size, method and scalar against error")
     duration = min(2.0, 0.5 * trajectory.stop.t)
@@ -192,7 +200,7 @@ def _single(points: Sequence[Precision], duration: float) -> str:
     double, single = min(best["float64"]), min(best["float32"])
     return (
         f"At best, whatever the step, q and u are off by {double:.2g} in float64 and by {single:.2g} in float32 after "
-        f"{duration:.3g} s; float32 takes over where its curve turns up: smaller steps only add rounding."
+        f"{duration:.3g} s. Where the curve of float32 turns back, smaller steps only add rounding."
     )
 
 

@@ -66,6 +66,24 @@ def _wish(constraint: Any) -> str:
 
 
 def _derived(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
+    """The quantities, and at last the answer."""
+    scene = formulation.scene
+    matrix, right, free = scene.system.matrix, scene.system.right, scene.y is not None
+    unknown = "tau'" if scene.system.tau_is_state else "tau"
+    metric = "" if scene.weight is None else f", {matrix}^+ in the metric of W"
+    answer = f"{unknown} = y + {matrix}^+ ({right} - {matrix} y)" if free else f"{unknown} = {matrix}^+ {right}"
+    last = [(answer + metric, {"S": "10", "A": "54", "G": "16"}[matrix])]
+    if scene.kind == "ideal":
+        last.insert(0, ("R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", "17"))
+    shapes = {"R": f"{scene.system_shape[0]}×1", "tau": f"{scene.controls}×1"}
+    answers = [
+        (math(formula(text), display=False), shapes["R" if text.startswith("R") else "tau"], f"Eq. ({number})")
+        for text, number in last
+    ]
+    return (*_quantities(formulation), *answers)
+
+
+def _quantities(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
     return tuple(
         (
             math(symbol(q.name), mo("="), formula(q.formula), display=False),

@@ -33,6 +33,11 @@ class Formulas:
     definitions: tuple[str, ...]
     lines: tuple[str, ...]
 
+    @property
+    def readable(self) -> bool:
+        """Whether anybody would read them."""
+        return self.operations <= LARGEST
+
 
 def formulas(program: Program, names: Callable[[str, int], str]) -> Formulas:
     """The outputs of a program, matrices as such.
@@ -273,6 +278,7 @@ def _number(value: Fraction) -> Text:
     text = f"{float(value):.12g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
-        power = tag("msup", mn("10"), mn(str(int(exponent)).replace("-", "−")))
-        return row(mn(mantissa), mo("·"), power), _PRODUCT
+        digits = mn(str(abs(int(exponent))))
+        power = tag("msup", mn("10"), row(mo("−"), digits) if int(exponent) < 0 else digits)
+        return (power, _PRODUCT) if mantissa == "1" else (row(mn(mantissa), mo("·"), power), _PRODUCT)
     return mn(text), _ATOM

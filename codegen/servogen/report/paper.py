@@ -24,6 +24,20 @@ SCENES = (
 )
 """The scenes the figures are of."""
 
+TITLES = {
+    2: "servo-constraint dynamics",
+    3: "configuration, ideal forces",
+    4: "velocity, ideal forces",
+    5: "torques, ideal forces",
+    6: "decay of the kinetic energy",
+    **{7 + k: f"angular velocity {axis}, y = 0" for k, axis in enumerate("xyz")},
+    **{10 + k: f"control {axis}, y = 0" for k, axis in enumerate("xyz")},
+    **{13 + k: f"free vector {axis}, y = -τ" for k, axis in enumerate("xyz")},
+    **{16 + k: f"angular velocity {axis}, y = -τ" for k, axis in enumerate("xyz")},
+    **{19 + k: f"control {axis}, y = -τ" for k, axis in enumerate("xyz")},
+}
+"""What each of the paper's figures shows."""
+
 Curve = tuple[FloatArray, FloatArray, str]
 
 
@@ -70,24 +84,25 @@ def _pendulum(runs: dict[str, Trajectory]) -> Sheet:
         "paper_figures_2_to_5",
         2,
         (
-            Panel(2, "E [J]", (
-                (free.t, free.outputs["E"], "with a y that keeps it moving"),
-                (plain.t, scale * plain.outputs["E"], f"y = 0, scaled, to t* = {plain.stop.t:.2f} s"),
-            )),
+            Panel(
+                2,
+                "E [J]",
+                (
+                    (free.t, free.outputs["E"], "with a y that keeps it moving"),
+                    (plain.t, scale * plain.outputs["E"], f"y = 0, scaled, to t* = {plain.stop.t:.2f} s"),
+                ),
+            ),
             Panel(3, "configuration parameters [rad]", _columns(ideal, ideal.q, "θ")),
             Panel(4, "velocity parameters [rad/s]", _columns(ideal, ideal.u, "u")),
             Panel(5, "ideal control torques [N m]", _columns(ideal, ideal.tau, "τ")),
         ),
-        "Figures 2 to 5, double pendulum. The paper prints neither masses, lengths nor the start: ours "
-        "are those of the "
-        "scenes' files. Figure 2 reproduces the decay of E as exp(-t); it holds for as long as the "
-        "mechanism keeps moving. "
-        f"Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time (t* = "
-        f"{ideal.stop.t:.2f} s, "
-        "K/E below 1e-3) with potential energy left, and the torques do not vanish with E as the paper "
-        "remarks, but grow as "
-        "1/sqrt(K): G tau = Theta E Q u / (2 K).",
-    )  # fmt: skip
+        "Figures 2 to 5, double pendulum (Section 4), Theta = -1 and E_0 = 0 as in the paper. It prints neither "
+        f"masses, lengths nor the start; chosen: {_chosen(ideal)}; start {_start(ideal)}, and for the y that keeps "
+        f"it moving {_start(free)}. Figure 2 reproduces the decay of E as exp(-t); with y = 0 it holds until the "
+        "mechanism stops. Figures 3 to 5, ideal control forces: the mechanism is slowed to rest in finite time "
+        f"(t* = {ideal.stop.t:.2f} s, K/E below 1e-3) with potential energy left, and the torques do not vanish with E "
+        "as the paper remarks, but grow as 1/sqrt(K): G tau = Theta E Q u / (2 K).",
+    )
 
 
 def _chatter(run: Trajectory) -> Sheet:
@@ -96,10 +111,10 @@ def _chatter(run: Trajectory) -> Sheet:
         "paper_figures_6_to_12",
         3,
         (K, *_axes(7, run, run.u, "ω", "rad/s"), *_axes(10, run, run.tau, "τ", "rad/s²")),
-        "Figures 6 to 12, spacecraft with y = 0: K decays as 0.124 exp(-t) while velocities and "
-        "controls chatter with a "
-        f"frequency that grows without bound. Drawn to {run.t[-1]:g} s; later a period is too short for the step. The "
-        "controls are torques over inertia, rad/s², not N m as printed.",
+        f"Figures 6 to 12, spacecraft with y = 0 (Section 6), the paper's numbers: {_chosen(run)}; {_start(run)}. K "
+        "decays as 0.124 exp(-t) while velocities and controls chatter with a frequency that grows without bound. "
+        f"Drawn to {run.t[-1]:g} s; later a period is too short for the step. tau_3(0) = -0.3376 is printed rounded "
+        "and projected onto phi = 0 first; the controls are torques over inertia, rad/s², not N m as printed.",
     )
 
 
@@ -112,10 +127,20 @@ def _smooth(run: Trajectory) -> Sheet:
             *_axes(16, run, run.u, "ω", "rad/s"),
             *_axes(19, run, run.tau, "τ", "rad/s²"),
         ),
-        "Figures 13 to 21, spacecraft with y = -tau: the same decay of K, all curves smooth. The free "
-        "vector y, the angular "
-        "velocities and the controls, axis by axis.",
+        f"Figures 13 to 21, spacecraft with y = -tau, the paper's numbers: {_chosen(run)}; {_start(run)}. The same "
+        "decay of K, all curves smooth: the free vector y, the angular velocities and the controls, axis by axis.",
     )
+
+
+def _chosen(run: Trajectory) -> str:
+    """The parameters of a run in words."""
+    return ", ".join(f"{name} = {' '.join(f'{x:g}' for x in v)}" for name, v in run.parameters.items())
+
+
+def _start(run: Trajectory) -> str:
+    """The first state of a run in words."""
+    values = {"q": run.q[0], "u": run.u[0]} | ({"tau": run.tau[0]} if run.kind == "controls" else {})
+    return ", ".join(f"{name}(0) = ({', '.join(f'{x:.6g}' for x in v)})" for name, v in values.items())
 
 
 def _columns(run: Trajectory, values: FloatArray, symbol: str) -> tuple[Curve, ...]:
@@ -168,7 +193,7 @@ def _panel(axis: Any, panel: Panel) -> None:
         dashes = (0, (4, 3)) if coincide and colour == colours[1] else "solid"
         width = 0.7 if len(t) > 20000 else 1.3
         axis.plot(t[finite], values[finite], color=colour, label=name, linewidth=width, linestyle=dashes)
-    axis.set_title(f"Figure {panel.number}", fontsize=10, loc="left")
+    axis.set_title(f"Figure {panel.number}: {TITLES[panel.number]}", fontsize=9.5, loc="left")
     axis.set_xlabel("t [s]")
     axis.set_ylabel(panel.label)
     axis.set_xlim(left=0.0)

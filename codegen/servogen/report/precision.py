@@ -18,10 +18,8 @@ def render_precision(found: Precision, figures: Mapping[tuple[str, str], Path]) 
         lstrip_blocks=True,
         autoescape=True,
     )
-    uris = {
-        key: f"data:image/svg+xml;base64,{base64.b64encode(path.read_bytes()).decode()}"
-        for key, path in figures.items()
-    }
+    encoded = {key: base64.b64encode(path.read_bytes()).decode() for key, path in figures.items()}
+    uris = {key: f"data:image/svg+xml;base64,{text}" for key, text in encoded.items()}
     conditions = {key: sorted({p.kappa for p in found.points if (p.shape, p.scalar) == key}) for key in figures}
     template = templates.get_template("precision.html.j2")
     return template.render(found=found, figures=uris, conditions=conditions)

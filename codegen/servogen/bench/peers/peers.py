@@ -1,19 +1,30 @@
 """All rivals of one scene, and ours with each pass of the optimiser left out."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from types import ModuleType
+from typing import Any
 
 from servogen.bench.contenders import CContender, Contender, casadi_c, servogen_c
 from servogen.bench.inputs import Inputs
 from servogen.bench.peers.robots import adam_scene, pinocchio_c
 from servogen.bench.peers.sympy_c import sympy_c
-from servogen.bench.results import Output
+from servogen.bench.results import Bench, Output
+from servogen.bench.run import bench
+from servogen.loading import load_scene, scene_module
 from servogen.optimise.search import SEARCH
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 NAIVE, BASELINE = "CasADi", "CasADi cse"
+
+
+def bench_peers(spec: str, flags: Sequence[str] = ("-O2",), **options: Any) -> Bench:
+    """`bench` of the scene that `spec` names, with all its peers; options as of `bench`."""
+    peers = Peers(scene_module(spec), flags)
+    result = bench(load_scene(spec), flags=flags, contenders=peers, **options)
+    return replace(result, remarks=(*result.remarks, *peers.remarks))
 
 
 class Peers:

@@ -27,7 +27,7 @@ from servogen.tools import ToolMissing
 
 _GRAVITY = (0.0, 0.0, -9.81)
 _BOOST_LIMITS = ("-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
-                 "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS")  # fmt: skip
+                 "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS", "-DBOOST_FUSION_INVOKE_MAX_ARITY=10")  # fmt: skip
 
 
 class AdamRobot:

@@ -1,4 +1,4 @@
-"""Who takes part in the diagrams of run time against error: our rungs, CasADi's generated C, Eigen and LAPACK, Python."""
+"""Who takes part in the diagrams of run time against error: our steps, CasADi's C, Eigen and LAPACK, Python."""
 
 import dataclasses
 import re
@@ -28,11 +28,11 @@ REFINEMENT = (r"\bx\[j\] \+= step\[j\];", r"\banswer\[j\] \+= [^;]*;")
 
 @dataclass(frozen=True)
 class Variant:
-    """One of our contenders: a generated package, perhaps with other limits of NORMAL's certificate, or its refinement cut."""
+    """One of ours: a generated package, perhaps with other limits of NORMAL's certificate, or its refinement cut."""
 
     name: str
     prefix: str
-    solver: Solver = Solver()
+    solver: Solver = field(default_factory=Solver)
     limits: Mapping[str, float] = field(default_factory=dict)
     refined: bool = True
 
@@ -146,7 +146,7 @@ def _scipy_pinv(S: FloatArray, z: FloatArray) -> FloatArray:
 
 def _rcond(S: FloatArray) -> float:
     scalar: Scalar = "float32" if S.dtype == np.float32 else "float64"
-    return max(S.shape) * EPSILON[scalar]
+    return float(max(S.shape) * EPSILON[scalar])
 
 
 PYTHON: dict[str, Callable[[FloatArray, FloatArray], Any]] = {

@@ -1,4 +1,4 @@
-"""Work-precision diagrams: a panel a condition, time along, error up, and the line of those that nobody beats in both."""
+"""Work-precision diagrams: a panel a condition, time along, error up, and the line of those nobody beats in both."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +41,7 @@ TOP = 1e8
 def draw(found: Precision, folder: Path) -> dict[tuple[str, str], Path]:
     """One SVG and PNG a shape and scalar, in `folder`; (shape, scalar) -> the SVG."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {}
+    paths: dict[tuple[str, str], Path] = {}
     with matplotlib.rc_context({"svg.hashsalt": "servogen", "svg.fonttype": "path"}):
         for shape, scalar in dict.fromkeys((p.shape, p.scalar) for p in found.points):
             figure = _figure(found, shape, scalar)
@@ -83,8 +83,8 @@ def _figure(found: Precision, shape: str, scalar: str) -> Figure:
     )
     names = [n for n in STYLES if any(p.contender == n for p in own)]
     handles = [_handle(name) for name in names]
-    figure.legend(handles=handles, loc="lower center", ncols=min(5, columns + 1), fontsize=8.5, frameon=False)
-    figure.tight_layout(rect=(0, 0.035 + 0.3 * -(-len(names) // 5) / (3.1 * rows + 1.9), 1, 0.99))
+    figure.legend(handles=handles, loc="lower center", ncols=5, fontsize=8.5, frameon=False)
+    figure.tight_layout(rect=(0, (0.3 + 0.2 * -(-len(names) // 5)) / (3.1 * rows + 1.9), 1, 0.99))
     return figure
 
 
@@ -110,9 +110,17 @@ def _panel(axes: Any, points: Sequence[Point], measure: str, limits: tuple[float
         axes.spines[side].set_visible(False)
     line = pareto([(p.median, getattr(p, measure)) for p in points if getattr(p, measure) < limits[1]])
     axes.plot(*zip(*line, strict=True) if line else ([], []), color=PARETO, linewidth=1, zorder=2)
-    for p in points:
+    for order, p in enumerate(points):
         marker, colour = STYLES[p.contender]
         y = min(max(getattr(p, measure), limits[0]), limits[1])
         axes.plot([p.median, p.worst], [y, y], color=colour, linewidth=1, alpha=0.6, zorder=3)
         size = 11 if marker == "*" else 7
-        axes.plot([p.median], [y], marker, color=colour, markersize=size, zorder=4, clip_on=False)
+        axes.plot(
+            [p.median],
+            [y],
+            marker,
+            color=colour,
+            markersize=size,
+            zorder=99 if marker == "*" else 4 + order,
+            clip_on=False,
+        )

@@ -48,7 +48,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Precision:
-    """points: every contender at every shape, scalar and condition. missing: rivals that are not here, and the remedy."""
+    """points: every contender at every shape, scalar and condition. missing: rivals not here, and the remedy."""
 
     compiler: str
     flags: tuple[str, ...]
@@ -111,8 +111,12 @@ def _measure_shape(
         argv = [str(program), str(data), str(len(S)), str(rounds), str(found)]
         names = subprocess.run(argv, check=True, capture_output=True, text=True).stdout.splitlines()
         numbers = np.fromfile(found).reshape(len(names), -1)
-    times = {n: row[: rounds * len(S)].reshape(rounds, len(S)) for n, row in zip(names, numbers, strict=True)}
-    taus = {n: row[rounds * len(S) :].reshape(len(S), l) for n, row in zip(names, numbers, strict=True)}
+    times: dict[str, FloatArray] = {
+        n: row[: rounds * len(S)].reshape(rounds, len(S)) for n, row in zip(names, numbers, strict=True)
+    }
+    taus: dict[str, FloatArray] = {
+        n: row[rounds * len(S) :].reshape(len(S), l) for n, row in zip(names, numbers, strict=True)
+    }
     for label, call in PYTHON.items():
         times[label], taus[label] = _time_in_python(call, S, z, max(2, rounds // 4))
     ours = {variant.name for variant in chosen}
@@ -207,6 +211,6 @@ def truths(S: FloatArray, z: FloatArray) -> list[exact.Matrix]:
 def relative_errors(tau: FloatArray, right: Sequence[exact.Matrix]) -> FloatArray:
     """|tau - right| / |right| of each system; infinite where tau is not finite."""
     found = np.full(len(tau), np.inf)
-    for i in np.flatnonzero(np.isfinite(tau).all(axis=1)):
+    for i in np.flatnonzero(np.isfinite(tau).all(axis=1)).tolist():
         found[i] = np.linalg.norm(exact.difference(tau[i], right[i])) / np.linalg.norm(exact.nearest(right[i]))
     return found

@@ -1,5 +1,6 @@
 """Fuzzing the emitted solver: libFuzzer with AddressSanitizer and UBSan, any bits as S, z, y (see target.c)."""
 
+import os
 import re
 import subprocess
 import tempfile
@@ -30,7 +31,8 @@ HANG = 5
 
 @dataclass(frozen=True)
 class Fuzzed:
-    """One target's run. input: the bytes that failed, in hex; empty if none did. words: the sanitiser's last."""
+    """One target's run. seconds: of the processor. input: the bytes that failed, in hex; empty if none did. words: the
+    sanitiser's last."""
 
     m: int
     l: int
@@ -73,9 +75,8 @@ def fuzz(seconds: int, chosen: Sequence[Target], *, seed: int = 1, jobs: int = 1
     """`seconds` of fuzzing of each target, in turn. Raises ToolMissing without clang and its libFuzzer."""
     compiler = find_tool("clang", "clang")
     with ThreadPoolExecutor(jobs) as pool:
-        yield from zip(
-            chosen, pool.map(lambda target: run_target(compiler, target, seconds, seed), chosen), strict=True
-        )
+        found = pool.map(lambda target: run_target(compiler, target, seconds, seed), chosen)
+        yield from zip(chosen, found, strict=True)
 
 
 def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzzed:
@@ -87,32 +88,24 @@ def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzze
                    "-use_value_profile=1", f"-artifact_prefix={folder}/"]  # fmt: skip
         corpus = folder / "corpus"
         corpus.mkdir()
-        done = subprocess.run([program, *options, corpus], capture_output=True, text=True, errors="replace")
+        text = folder / "words.txt"
+        with text.open("w") as words:
+            running = subprocess.Popen([program, *options, corpus], stdout=words, stderr=words)
+            _, code, usage = os.wait4(running.pid, 0)
+        said = text.read_text(errors="replace")
         failed = sorted(p for p in folder.iterdir() if re.match(r"(crash|timeout|oom|leak)-", p.name))
-        executions = re.search(r"number_of_executed_units: (\d+)", done.stderr)
-        words = "\n".join(done.stderr.splitlines()[-40:]) if done.returncode else ""
+        executions = re.search(r"number_of_executed_units: (\d+)", said)
         return Fuzzed(
             target.m,
             target.l,
             target.scalar,
             target.policy,
             seed,
-            float(seconds),
+            usage.ru_utime + usage.ru_stime,
             int(executions[1]) if executions else 0,
             failed[0].read_bytes().hex() if failed else "",
-            words,
+            "\n".join(said.splitlines()[-40:]) if code else "",
         )
-
-
-def replay(compiler: Path, target: Target, inputs: Sequence[bytes]) -> subprocess.CompletedProcess[str]:
-    """Run the target on inputs of former findings, one after the other."""
-    with tempfile.TemporaryDirectory(prefix="servogen-fuzz-") as name:
-        folder = Path(name)
-        program = build_target(compiler, target, folder)
-        files = [folder / f"input-{k}" for k in range(len(inputs))]
-        for file, content in zip(files, inputs, strict=True):
-            file.write_bytes(content)
-        return subprocess.run([program, *files], capture_output=True, text=True, errors="replace")
 
 
 def build_target(compiler: Path, target: Target, folder: Path) -> Path:

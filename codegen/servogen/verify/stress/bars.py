@@ -1,6 +1,7 @@
 """The quantities of a stress run and their bars (NUMERICS: What the tests must show)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,8 @@ BARS: dict[str, float] = {
     "residual / (rtol |S| (|x| + |tau|)), z = S x": 10,  # singular values up to 10 rtol may be cut off
 }
 
-(TAU, PINV, RESIDUAL, GRADED, BITS, RANK, STATUS, TAU_R, TAU_LS, PINV_R, PENROSE, SVD_BACK, SVD_LEFT, SVD_RIGHT, TOUCHED,
- SWEEPS, CAPPED, FALSE_NORMAL, FALSE_QR, COMPLAINTS, NEAR) = BARS  # fmt: skip
+(TAU, PINV, RESIDUAL, GRADED, BITS, RANK, STATUS, TAU_R, TAU_LS, PINV_R, PENROSE, SVD_BACK, SVD_LEFT, SVD_RIGHT,
+ TOUCHED, SWEEPS, CAPPED, FALSE_NORMAL, FALSE_QR, COMPLAINTS, NEAR) = BARS  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Figure:
     systems: int
 
 
-def figure(quantity: str, values: NDArray[np.generic]) -> Figure:
+def figure(quantity: str, values: NDArray[Any] | np.bool) -> Figure:
     """The largest of one figure per system."""
     numbers = np.nan_to_num(np.asarray(values, np.float64), nan=np.inf, posinf=np.inf)
     return Figure(quantity, float(numbers.max(initial=0.0)), int(numbers.size))

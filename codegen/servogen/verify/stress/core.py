@@ -56,8 +56,8 @@ def decompose(S: FloatArray, scalar: Scalar) -> tuple[FloatArray, FloatArray, Fl
 
 
 def ratios(S: FloatArray, scalar: Scalar, u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """|S - U s V^T| / (|S| max(m, l) u), |I - U^T U| / (m u), |I - V^T V| / (l u), U and V of the singular values kept."""
-    N, m, l = S.shape
+    """|S - U s V^T| / (|S| max(m, l) u), |I - U^T U| / (m u), |I - V^T V| / (l u) of the singular values kept."""
+    m, l = S.shape[1:]
     U, sigma, V, rank = decompose(S, scalar)
     unit = np.abs(S).max(axis=(1, 2), keepdims=True).astype(np.longdouble)
     unit[unit == 0] = 1
