@@ -1133,7 +1133,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
     double_pendulum_energy_and_path_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

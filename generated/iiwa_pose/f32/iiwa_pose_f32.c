@@ -1341,7 +1341,7 @@ static IIWA_POSE_F32_NEAR int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *n
     iiwa_pose_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

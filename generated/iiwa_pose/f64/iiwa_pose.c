@@ -1375,7 +1375,7 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
     iiwa_pose_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

@@ -1197,7 +1197,7 @@ static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f
     iiwa_position_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

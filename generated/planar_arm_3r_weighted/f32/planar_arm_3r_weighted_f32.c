@@ -1081,7 +1081,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NEAR int planar_arm_3r_weighted_f32_answer(con
     planar_arm_3r_weighted_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

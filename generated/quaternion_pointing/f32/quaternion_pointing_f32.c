@@ -1039,7 +1039,7 @@ static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const qua
     quaternion_pointing_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */

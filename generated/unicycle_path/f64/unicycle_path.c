@@ -1115,7 +1115,7 @@ static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *n
     unicycle_path_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
