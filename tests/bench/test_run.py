@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
-from servogen.bench.plot import draw, pareto
+from servogen.bench.plot import _spread, draw, pareto
 from servogen.bench.results import Output
 from servogen.bench.run import bench
 from servogen.loading import load_scene
@@ -100,3 +100,15 @@ def test_times_are_of_the_whole_batch():
     for m in result.measurements:
         assert 0 < m.times.best <= m.times.median <= m.times.p999
         assert np.isfinite(m.times.ratio)
+
+
+def test_labels_of_close_markers_stand_apart() -> None:
+    """numpy's truth values are not `True`: once none was moved."""
+    spots = [
+        (np.float64(0.1), np.float64(0.5)),
+        (np.float64(0.1), np.float64(0.501)),
+        (np.float64(0.9), np.float64(0.5)),
+    ]
+    low, high, other = _spread(spots)
+    assert high - low > 0.05
+    assert other == 0.5

@@ -11,6 +11,7 @@ import pytest
 import servogen as sg
 from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import METHODS, ClosedLoop, simulate
+from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.sources import write_loop
 from servogen.tools import firmware_sim
@@ -278,3 +279,11 @@ int main(int argc, char **argv)
     return 0;
 }
 """
+
+
+def test_margins_are_drawn_where_there_are_any(tmp_path):
+    scene, simulation = load_simulation("double_pendulum_energy_and_path")
+    run = ClosedLoop(scene, simulation).run(step=1e-3)
+    drawn = {file.name for file in write_plots(scene, simulation, run, tmp_path)}
+    assert {"margins.png", "margins.svg"} <= drawn
+    assert "margins.png" not in {p.name for p in write_plots(scene, sg.Simulation(), run, tmp_path)}

@@ -11,8 +11,10 @@ import time
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from distributed import Client, LocalCluster
 from servogen import exact
+from servogen.cli.main import cli
 from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.report.stress import CLAIMS, render_stress
@@ -46,7 +48,7 @@ def failures(report):
 
 
 def test_the_generated_solver_passes():
-    report = stress.stress(systems=200, shapes=SMALL)
+    report = stress.stress(systems=90, shapes=((2, 2), (2, 3), (3, 2)))
     assert failures(report) == set()
     assert report.passed
     assert {row.family for row in report.rows} == {name for name, f in stress.FAMILIES.items() if not f.long}
@@ -164,6 +166,17 @@ def test_report_is_json_and_a_page():
     page = render_stress(report)
     assert "All figures within their bars" in page
     assert bars.RESIDUAL in page
+
+
+def test_the_command(tmp_path):
+    done = CliRunner().invoke(cli, ["stress", "--family", "subnormal 2x2", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "all within their bars" in done.output
+    assert json.loads((tmp_path / "stress.json").read_text())["passed"] is True
+    assert "subnormal 2x2" in (tmp_path / "stress.html").read_text()
+    wrong = CliRunner().invoke(cli, ["stress", "--family", "nonsense"])
+    assert wrong.exit_code == 2
+    assert "choose from: dlatms spectra" in wrong.output
 
 
 def test_every_claim_of_the_page_has_one_bar():

@@ -1,7 +1,7 @@
 """Instructions on a board, beside what others take there: python -m servogen.bench.board.
 
-Each scene's float32 C against CasADi's with casadi_real=float, as emitted and after a repair by hand (sinf for sin, an f
-behind every literal); and our sin and cos against the board's maths library, and on this machine against its own.
+Each scene's float32 C against CasADi's with casadi_real=float, as emitted and after a repair by hand (sinf for sin, an
+f behind every literal); and our sin and cos against the board's maths library, and on this machine against its own.
 """
 
 import argparse
@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from servogen.bench import user
 from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.inputs import drawn
-from servogen.bench.results import LABELS
+from servogen.bench.results import LABELS, Output
 from servogen.loading import load_scene
 from servogen.plan.solver import BITS
 from servogen.render.mathematics import NEAR, math_context
@@ -30,6 +29,7 @@ from servogen.verify.harness import build_images, execute, require_target, words
 from servogen.verify.vectors import literal
 
 STATES = 64
+OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 SCENES = ("double_pendulum_energy", "spacecraft", "iiwa")
 IIWA = Path(__file__).parents[1] / "scenes" / "robots" / "iiwa_position.py"
 AS_EMITTED, MENDED = "CasADi as emitted", "CasADi mended by hand"
@@ -46,10 +46,9 @@ class Count:
 def against_casadi(scene: Scene, target: str = "cortex-m4", states: int = STATES) -> dict[str, dict[str, Count]]:
     """By output (S, z, tau and the like), then by contender."""
     inputs = drawn(scene, states, 0)
-    ours = servogen_c(scene, inputs, states, "float32")
-    theirs = casadi_c(scene, inputs, states, AS_EMITTED, cse=True, scalar="float32")
+    ours = servogen_c(scene, inputs, states, "float32", OUTPUTS)
+    theirs = casadi_c(scene, inputs, states, AS_EMITTED, cse=True, scalar="float32", outputs=OUTPUTS)
     mended = {f.name.replace(theirs.identifier, "mended"): mend(f.text, theirs.identifier) for f in theirs.files}
-    outputs = user.expressions(scene)
     declarations = [
         ours.declarations.replace("static void load(", "static void load_ours(").replace("abort()", "hal_exit(1)")
     ]
@@ -60,14 +59,14 @@ def against_casadi(scene: Scene, target: str = "cortex-m4", states: int = STATES
         .replace("call_", "call_mended_")
     ]
     calls = {}
-    for output in outputs:
+    for output in OUTPUTS:
         label = LABELS[scene.kind][output]
         calls[f"{label}|servogen"] = ours.calls[output].expression
         calls[f"{label}|{AS_EMITTED}"] = theirs.calls[output].expression
         calls[f"{label}|{MENDED}"] = theirs.calls[output].expression.replace("call_", "call_mended_")
     files = {f.name: f.text for f in ours.files}
     peers = {f.name: f.text for f in theirs.files} | mended
-    largest = max(scene.rows * scene.controls, scene.rows, scene.controls)
+    largest = (scene.rows + 1) * scene.controls + scene.rows
     values = inputs.states.ravel(), np.asarray(inputs.parameters).ravel()
     start = "load_ours(parameters, states, BENCH_STATES);\n    load_theirs(parameters, states, BENCH_STATES);"
     header = _header(declarations, calls, largest, "float", values, states, start)
@@ -86,7 +85,7 @@ def mend(text: str, identifier: str) -> str:
 
 
 def trigonometry(scalar: Scalar, target: str = "cortex-m4", states: int = STATES) -> dict[str, Count]:
-    """Our sin, cos and both at once, and the maths library's, at angles up to 2 pi and up to the short reduction's end."""
+    """Our sin, and sin and cos at once, and the maths library's: up to 2 pi, to the short reduction's end, and huge."""
     real, f = ("double", "") if scalar == "float64" else ("float", "f")
     generator = np.random.default_rng(0)
     angles = {"to 2 pi": 2 * np.pi, "to the end of the short reduction": NEAR[scalar], "huge": 1e30}
@@ -99,7 +98,7 @@ def trigonometry(scalar: Scalar, target: str = "cortex-m4", states: int = STATES
         calls[f"{name}|own sin and cos"] = f"(pair = own_sincos({x}), out[0] = pair.sin, out[1] = pair.cos)"
         calls[f"{name}|library sin"] = f"(*out = sin{f}({x}))"
         calls[f"{name}|library sin and cos"] = f"(out[0] = sin{f}({x}), out[1] = cos{f}({x}))"
-    declarations.append("static own_pair pair;")
+    declarations.append("own_pair pair;")
     header = _header(declarations, calls, 2, real, (values, np.zeros(1)), states, "(void)parameters;", real)
     return count_on_board({}, {}, header, scalar, target)
 
@@ -114,7 +113,8 @@ def sine_source(scalar: Scalar) -> str:
         "own_functions": ("sqrt", "reduce", "sin", "cos", "sincos"),
         "lit": None,
     }
-    return "#include <float.h>\n" + environment().get_template("solver/bits.c.j2").render(context)
+    includes = "".join(f"#include <{name}.h>\n" for name in ("float", "math", "stddef", "stdint"))
+    return includes + environment().get_template("solver/bits.c.j2").render(context)
 
 
 def _header(
@@ -141,7 +141,7 @@ def _header(
             f"#define BENCH_STATES {states}u\n#define BENCH_CALLS {len(calls)}u",
             f"static const {kept} states[] = {{{rows}}};",
             f"static const {kept} parameters[] = {{{parameters or 0}}};",
-            f"static {real} out[{largest}];",
+            f"{real} out[{largest}]; /* others could read it: no store to it is dropped */",
             *declarations,
             f"static void bench_start(void)\n{{\n    {start}\n}}",
             bodies,
@@ -223,11 +223,13 @@ int main(int argc, char **argv)
             program,
             "-lm",
         ]
-        subprocess.run(compile_, check=True)
+        subprocess.run([str(word) for word in compile_], check=True)
         for n in range(len(functions)):
             command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={name}/out", program, str(n)]
             environment_ = {**os.environ, "LD_BIND_NOW": "1"}
-            done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment_)
+            done = subprocess.run(
+                [str(word) for word in command], capture_output=True, text=True, check=False, env=environment_
+            )
             found = re.search(r"Collected : (\d+)", done.stderr)
             counts.append(int(found[1]) if found else 0)
     return {name: (n - counts[-1]) / 10000 for name, n in zip(functions, counts, strict=True) if name}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, emit_json, err, json_option, out, progress, table
+from servogen.cli.console import FAILED, GOOD, emit_json, err, json_option, out, progress, table, to_jsonable
 from servogen.report.stress import render_stress
 from servogen.verify.stress import FAMILIES, StressReport, stress
 
@@ -61,7 +61,7 @@ def stress_command(
             journal=journal,
             progress=advance,
         )
-    (folder / "stress.json").write_text(json.dumps(report.to_json(), indent=2) + "\n")
+    (folder / "stress.json").write_text(json.dumps(to_jsonable(report.to_json()), indent=2) + "\n")
     (folder / "stress.html").write_text(render_stress(report), encoding="utf-8")
     if as_json:
         emit_json(report.to_json())

@@ -46,7 +46,7 @@ def derive_controls(scene: Scene) -> Formulation:
 
 
 def curvature(phi: Any, tau: Any) -> tuple[Any, tuple[tuple[int, int, int], ...]]:
-    """Second derivatives of phi by tau that are not structurally zero, a column, and (row of phi, i, j <= i) of each."""
+    """Second derivatives of phi by tau, a column of the nonzero ones, and (row of phi, i, j <= i) of each."""
     bends, places = [], []
     for row in range(phi.size1()):
         H = ca.tril(ca.sparsify(ca.hessian(phi[row], tau)[0]))

@@ -129,7 +129,7 @@ class SolverPlan:
     qr_rounding: float  # what the rounding of Gram-Schmidt takes from sigma_min / |S|_F
     qr_margin: float  # sigma_min / |S|_F that QR must prove
     qr_limit: float  # the same for bound |S|_F^2
-    square_ranges: tuple[tuple[int, int], ...]  # per row: biased exponents of its square with which no scaling is needed
+    square_ranges: tuple[tuple[int, int], ...]  # per row: biased exponents of its square that need no scaling
     answer_range: tuple[int, int]  # the same for tau tau^T
     consistency: float  # relative residual of a row that counts as met
     row_range: RowRange | None  # kind "row" only; None where tolerances leave no room for the short form
@@ -306,7 +306,7 @@ def _ranges(scalar: Scalar, l: int, atol: Sequence[float]) -> dict[str, Any]:
 
 
 def _square_above(bound: float) -> int:
-    """The exponent from which on s s^T is above bound^2. Since max|s|^2 >= s s^T / l, bound is sqrt(l) atol for a row."""
+    """The exponent from which on s s^T is above bound^2. As max|s|^2 >= s s^T / l, bound is sqrt(l) atol for a row."""
     return 2 * math.frexp(bound)[1] + 1 if bound > 0 else -(2**30)
 
 

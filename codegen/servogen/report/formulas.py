@@ -33,6 +33,11 @@ class Formulas:
     definitions: tuple[str, ...]
     lines: tuple[str, ...]
 
+    @property
+    def readable(self) -> bool:
+        """Whether anybody would read them."""
+        return self.operations <= LARGEST
+
 
 def formulas(program: Program, names: Callable[[str, int], str]) -> Formulas:
     """The outputs of a program, matrices as such.

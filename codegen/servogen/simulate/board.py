@@ -12,16 +12,6 @@ from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.simulate.sources import LoopSources
 from servogen.tools import firmware_sim
-from servogen.verify.harness import (
-    build_images,
-    complaint_of,
-    execute,
-    floats_of,
-    require_target,
-    words_of,
-    write_if_changed,
-)
-from servogen.verify.vectors import literal
 
 
 class BoardRunError(RuntimeError):
@@ -48,6 +38,18 @@ def run_on_board(
 
     Raises ToolMissing, HarnessBuildError, and BoardRunError where the run breaks off.
     """
+    # the layer above this one drives the emulator
+    from servogen.verify.harness import (
+        build_images,
+        complaint_of,
+        execute,
+        floats_of,
+        require_target,
+        words_of,
+        write_if_changed,
+    )
+    from servogen.verify.vectors import literal
+
     require_target(target)
     prefix = sources.controller.prefix
     text = (

@@ -45,7 +45,7 @@ Panel = Callable[[Any], None]
 
 
 def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, out: Path) -> tuple[Path, ...]:
-    """states, controls, psi or phi, and outputs (where there are any), each as PNG and SVG in the folder `out`."""
+    """states, controls, psi or phi, outputs and margins (where there are any), as PNG and SVG in the folder `out`."""
     units = simulation.units
     mech = scene.mechanism
     psi = trajectory.constraint_name
@@ -59,6 +59,8 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
     }
     if trajectory.outputs:
         figures["outputs"] = _output_panels(trajectory, units)
+    if simulation.sigma_min is not None or simulation.tau_max is not None:
+        figures["margins"] = _margin_panels(simulation, trajectory, units.get("tau"))
     files: list[Path] = []
     for name, panels in figures.items():
         files += _draw(trajectory, panels, out / name)
@@ -183,6 +185,26 @@ def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: Flo
     return panel
 
 
+def _margin_panels(simulation: Simulation, trajectory: Trajectory, unit: str | None) -> list[Panel]:
+    """What is watched, and where it would end the run."""
+    watched = [
+        ("sigma_min of the raw S", trajectory.sigma_min, simulation.sigma_min),
+        (_axis("largest |τ|", unit), np.max(np.abs(trajectory.tau), axis=1), simulation.tau_max),
+    ]
+
+    def margin(label: str, values: FloatArray, limit: float) -> Panel:
+        def panel(axis: Any) -> None:
+            axis.plot(trajectory.t, values, color=_COLOURS[0], label=label.partition(" [")[0])
+            axis.axhline(limit, label=f"limit {limit:g}", **_IDEAL)
+            axis.set_yscale("log")
+            axis.set_ylabel(label)
+            _legend(axis, 2)
+
+        return panel
+
+    return [margin(label, values, limit) for label, values, limit in watched if limit is not None]
+
+
 def _spans_decades(values: FloatArray) -> bool:
     finite = values[np.isfinite(values)]
     return bool(len(finite)) and bool(np.min(finite) > 0) and bool(np.max(finite) > 30 * np.min(finite))
@@ -191,7 +213,9 @@ def _spans_decades(values: FloatArray) -> bool:
 def _legend(axis: Any, count: int) -> None:
     if count > 1:
         above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-        axis.legend(ncols=min(count, 4), handlelength=1.6, **above)
+        longest = max(len(label) for label in axis.get_legend_handles_labels()[1])
+        columns, size = (min(count, 4), 10) if longest < 24 else (3, 8)
+        axis.legend(ncols=columns, fontsize=size, handlelength=1.6, **above)
 
 
 def _axis(name: str, unit: str | None) -> str:
@@ -211,5 +235,6 @@ def _math(name: str) -> str:
     base, _, index = name.rpartition("_")
     if not base or not index.isdigit():
         base, index = name, ""
-    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{base.replace('_', ' ')}}}" if len(base) > 1 else base
+    spaced = base.replace("_", r"\ ")
+    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{spaced}}}" if len(base) > 1 else base
     return f"${text}_{{{index}}}$" if index else f"${text}$"

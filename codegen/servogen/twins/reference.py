@@ -189,7 +189,7 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
         return (T if name == "T" else F).astype(self.dtype)
 
     def nonminimal(self, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, FloatArray]]:
-        """(status, (T, F)) with the u_D that the code has; NaN, and OVERFLOW, where the block of J to invert is singular."""
+        """(status, (T, F)) with the code's u_D; NaN, and OVERFLOW, where the block of J to invert is singular."""
         rounded = {n: self._round(v) for n, v in inputs.items()}
         n = self.scene.mechanism.u.size1()
         nothing = np.full((n, n), np.nan), np.full(n, np.nan)

@@ -1,4 +1,4 @@
-"""The most instructions a function can take on a board: the longest path through its machine code, loops at their limits.
+"""The most instructions a function can take on a board: the longest path through its machine code, loops at limits.
 
 The linked image is disassembled, and of each function the graph of its jumps is made. A loop in it counts once for each
 turn that its loop in the source can make: which loop that is the compiler's line table tells, inlined functions
@@ -112,20 +112,30 @@ class _Graph:
 
 @dataclass(eq=False)
 class Sources:
-    """Where instructions come from: address -> the source's loops around it, outermost first, across inlined calls."""
+    """Where instructions come from: address -> the source's loops around it, outermost first, across inlined calls.
+
+    heads: addresses on the first line of their innermost loop, where it also starts: once for a turn of the one around.
+    """
 
     loops: dict[int, tuple[Loop, ...]]
+    heads: set[int]
 
     def turns(self, part: set[int], around: Iterable[Loop], inner: set[int]) -> int | None:
         """The limit of a loop of machine code, None where it is the library's. around: loops known to be outside;
         inner: instructions that belong to loops within."""
-        known = [self.loops[n] for n in part - inner if n in self.loops]
+        within = {self.loops[n][-1] for n in inner - self.heads if self.loops.get(n)}
+        known = [self._stack(n, within) for n in part - inner if n in self.loops]
         if not known:
             known = [self.loops[n] for n in part if n in self.loops]
         if not known:
             return None
         named = {loop for stack in known for loop in stack}
         return max((loop.turns for loop in named - set(around) or named), default=0)
+
+    def _stack(self, address: int, within: set[Loop]) -> tuple[Loop, ...]:
+        """The loops around an instruction, without that of a loop within which it may only start."""
+        stack = self.loops[address]
+        return stack[:-1] if address in self.heads and stack[-1] in within else stack
 
 
 def read_machine(objdump: str, nm: str, image: Path, addr2line: str, source: Path, loops: Iterable[Loop]) -> Machine:
@@ -221,6 +231,7 @@ def _read_sources(addr2line: str, image: Path, addresses: list[int], source: Pat
         return around[line]
 
     found: dict[int, tuple[Loop, ...]] = {}
+    heads: set[int] = set()
     address = 0
     for text in done.stdout.splitlines():
         if text.startswith("0x"):
@@ -228,8 +239,11 @@ def _read_sources(addr2line: str, image: Path, addresses: list[int], source: Pat
             continue
         file, _, number = text.split(" (")[0].rpartition(":")
         if Path(file).name == source.name and number.isdigit():
-            found[address] = (*enclosing(int(number)), *found.get(address, ()))
-    return Sources(found)
+            stack = enclosing(int(number))
+            if address not in found and stack and stack[-1].first == int(number):
+                heads.add(address)
+            found[address] = (*stack, *found.get(address, ()))
+    return Sources(found, heads)
 
 
 def _distances(

@@ -99,7 +99,7 @@ static int proven(const REAL *A, wide bound, int own)
 int main(int argc, char **argv)
 {
     const uint64_t systems = strtoull(argc > 1 ? argv[1] : "1000", NULL, 10);
-    uint64_t index, normal = 0, qr = 0, false_normal = 0, false_qr = 0;
+    uint64_t index, normal = 0, qr = 0, quick = 0, false_normal = 0, false_qr = 0, false_quick = 0;
     state = strtoull(argc > 2 ? argv[2] : "1", NULL, 10);
     for (index = 0; index < systems; ++index) {
         REAL S[ROWS * COLUMNS], scaled[ROWS * COLUMNS];
@@ -126,8 +126,21 @@ int main(int argc, char **argv)
             ++qr;
             false_qr += !proven(scaled, (wide)RTOL * (wide)RTOL * (wide)total, 0);
         }
+        /* that of solve, whose rows have a length of 1 to 2 */
+        if (pinv_qr_scaled(f.B, &f.qr)) {
+            total = 0;
+            for (i = 0; i < ROWS; ++i) {
+                for (j = 0; j < COLUMNS; ++j) {
+                    scaled[COLUMNS * i + j] *= f.qr.line[i].unit;
+                    total += (double)scaled[COLUMNS * i + j] * (double)scaled[COLUMNS * i + j];
+                }
+            }
+            ++quick;
+            false_quick += !proven(scaled, (wide)RTOL * (wide)RTOL * (wide)total, 0);
+        }
     }
-    printf("%llu %llu %llu %llu %llu\n", (unsigned long long)systems, (unsigned long long)normal,
-        (unsigned long long)false_normal, (unsigned long long)qr, (unsigned long long)false_qr);
+    printf("%llu %llu %llu %llu %llu %llu %llu\n", (unsigned long long)systems, (unsigned long long)normal,
+        (unsigned long long)false_normal, (unsigned long long)qr, (unsigned long long)false_qr, (unsigned long long)quick,
+        (unsigned long long)false_quick);
     return 0;
 }

@@ -16,7 +16,7 @@ SOURCE = Path(__file__).with_name("certificates.c")
 
 @dataclass(frozen=True)
 class Certificates:
-    """How many of `systems` each step accepted, and in vain."""
+    """How many of `systems` each step accepted, and in vain. quick: the QR of solve; qr: that of the ladder behind."""
 
     m: int
     l: int
@@ -27,11 +27,14 @@ class Certificates:
     false_normal: int
     qr: int
     false_qr: int
+    quick: int
+    false_quick: int
 
     @property
     def passed(self) -> bool:
         """No certificate in vain, and enough of them for that to mean something."""
-        return self.false_normal == 0 == self.false_qr and min(self.normal, self.qr) > self.systems // 20
+        accepted = min(self.normal, self.qr, self.quick)
+        return self.false_normal == self.false_qr == self.false_quick == 0 and accepted > self.systems // 20
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self) | {"passed": self.passed}

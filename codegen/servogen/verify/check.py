@@ -32,8 +32,8 @@ class OutputCheck:
     """One output of one entry point of one package on one target.
 
     max_ulps: largest error over the domain in ulps of the output's scale; max_ratio: largest error / tolerance over
-    all states; reference_ulps: the same error of the textbook reference; histogram: as in OutputResult; problem: empty if
-    passed.
+    all states; reference_ulps: the same error of the textbook reference; histogram: as in OutputResult; problem: empty
+    if passed.
     """
 
     scene: str

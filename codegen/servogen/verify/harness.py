@@ -42,8 +42,9 @@ class OutputResult:
     ulps of the output's scale, over the domain's vectors. max_ratio: largest error / tolerance, at vector `worst`,
     element `element` (flat). status_mismatches, rank_mismatches: per entry point. touched: values changed under a
     negative status. overruns: guard words changed. drift: values that differed when the same vector was run again.
-    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1, 2,
-    4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else what is wrong.
+    hash: 64-bit FNV-1a over the statuses and the bits of all answers. histogram: values by their error, up to 0.5, 1,
+    2, 4, ... ulps of the output's scale, over the domain; the last bin holds the rest. problem: empty if passed, else
+    what is wrong.
     """
 
     entry: str

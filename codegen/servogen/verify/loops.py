@@ -49,13 +49,13 @@ def _turns(kind: str, head: str, number: int, lines: list[str], sizes: Mapping[s
             if not (limit := _LIMIT.match(part)):
                 continue
             name, relation, value = limit.groups()
+            most = None
             if step == f"++{name}" and relation in ("<", "<="):
-                if (most := _value(value, number, lines, sizes)) is not None:
-                    return most + (relation == "<=")
-            if step == f"--{name}" and relation in (">", ">=") and value == "0":
-                first = start.split(" = ")[-1]
-                if (most := _first(first, number, lines, sizes, found)) is not None:
-                    return most + (relation == ">=")
+                most = _value(value, number, lines, sizes)
+            elif step == f"--{name}" and relation in (">", ">=") and value == "0":
+                most = _first(start.split(" = ")[-1], number, lines, sizes, found)
+            if most is not None:
+                return most + relation.endswith("=")
             if step == f"{name} >>= 1" and (relation, value) == ("!=", "0"):
                 return 64  # bits of the widest word
     raise LoopUnboundedError(f"line {number}: {kind} ({head}): its limit is neither a number nor a dimension known")

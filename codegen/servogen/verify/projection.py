@@ -1,4 +1,4 @@
-"""The nearest tau with phi = 0 where phi is not affine in tau: Newton's method at 50 digits on Lagrange's conditions."""
+"""The nearest tau with phi = 0, phi not affine in tau: Newton's method at 50 digits on Lagrange's conditions."""
 
 from dataclasses import dataclass
 from typing import Any

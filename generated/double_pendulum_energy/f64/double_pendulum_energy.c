@@ -243,11 +243,11 @@ static double double_pendulum_energy_cos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_APART __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_COLD __attribute__((noinline, cold))
 #else
-#define DOUBLE_PENDULUM_ENERGY_APART
+#define DOUBLE_PENDULUM_ENERGY_COLD
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -298,10 +298,18 @@ static int double_pendulum_energy_exponent(uint64_t magnitude)
     return (int)(magnitude >> 52) - 1023 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t double_pendulum_energy_biased(double x)
+{
+    double_pendulum_energy_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_energy_within(double x, uint64_t low, uint64_t high)
 {
-    return (double_pendulum_energy_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_energy_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -439,11 +447,11 @@ static void double_pendulum_energy_fill_info(const double *S, int status, int ra
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int double_pendulum_energy_cancels(double rest, double target)
 {
-    return (rest < 0.0 ? -rest : rest) > 1.5 * (target < 0.0 ? -target : target);
+    return double_pendulum_energy_biased(rest) > double_pendulum_energy_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int double_pendulum_energy_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
 {
     double_pendulum_energy_scaled_row row;
     double answer[2];
@@ -487,7 +495,7 @@ static int double_pendulum_energy_solve_scaled(const double *S, const double *z,
         for (j = 0; j < 2; ++j) {
             target -= row.s[j] * double_pendulum_energy_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0 / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_shift(row.s[j] * target, unit);
         }
@@ -510,7 +518,7 @@ static int double_pendulum_energy_solve_scaled(const double *S, const double *z,
     return status;
 }
 
-static int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv, double_pendulum_energy_info *info)
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv, double_pendulum_energy_info *info)
 {
     double_pendulum_energy_scaled_row row;
     double answer[2];
@@ -534,6 +542,17 @@ static int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv, d
     return status;
 }
 
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_quick_info(double square, double residual, double_pendulum_energy_info *info)
+{
+    info->status = DOUBLE_PENDULUM_ENERGY_OK;
+    info->path = DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = double_pendulum_energy_sqrt(square);
+    info->residual = residual < 0.0 ? -residual : residual;
+    return DOUBLE_PENDULUM_ENERGY_OK;
+}
+
 static int double_pendulum_energy_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
 {
     const double s_0 = S[0];
@@ -542,45 +561,41 @@ static int double_pendulum_energy_solve_core(const double *S, const double *z, c
     const double square = s_0 * s_0 + s_1 * s_1;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_energy_within(square, 823, 1223)) {
-        double rest = target;
-        double t_0, t_1;
         if (y == NULL) {
-            if (!double_pendulum_energy_within(rest, 323, 1723)) {
-                return double_pendulum_energy_solve_scaled(S, z, y, tau, info);
+            if (double_pendulum_energy_within(target, 323, 1723)) {
+                const double scale = target / square;
+                const double t_0 = s_0 * scale;
+                const double t_1 = s_1 * scale;
+                tau[0] = t_0;
+                tau[1] = t_1;
+                if (info != NULL) {
+                    return double_pendulum_energy_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                }
+                return DOUBLE_PENDULUM_ENERGY_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
-            t_1 = s_1 * rest;
         } else {
             const double y_0 = y[0];
             const double y_1 = y[1];
-            rest = rest - s_0 * y_0 - s_1 * y_1;
-            if (!double_pendulum_energy_within(rest, 323, 1723)) {
-                return double_pendulum_energy_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const double rest = target - s_0 * y_0 - s_1 * y_1;
+            if (double_pendulum_energy_within(rest, 323, 1723)) {
                 const double scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-                t_1 = y_1 + s_1 * scale;
-            }
-            if (double_pendulum_energy_cancels(rest, target)) {
-                rest = (target - s_0 * t_0 - s_1 * t_1) / square;
-                t_0 += s_0 * rest;
-                t_1 += s_1 * rest;
+                double t_0 = y_0 + s_0 * scale;
+                double t_1 = y_1 + s_1 * scale;
+                if (double_pendulum_energy_cancels(rest, target)) {
+                    const double more = (target - s_0 * t_0 - s_1 * t_1) * (1.0 / square);
+                    t_0 += s_0 * more;
+                    t_1 += s_1 * more;
+                }
+                tau[0] = t_0;
+                tau[1] = t_1;
+                if (info != NULL) {
+                    return double_pendulum_energy_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                }
+                return DOUBLE_PENDULUM_ENERGY_OK;
+
             }
         }
-        tau[0] = t_0;
-        tau[1] = t_1;
-        if (info != NULL) {
-            rest = target - s_0 * t_0 - s_1 * t_1;
-            info->status = DOUBLE_PENDULUM_ENERGY_OK;
-            info->path = DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_energy_sqrt(square);
-            info->residual = rest < 0.0 ? -rest : rest;
-        }
-        return DOUBLE_PENDULUM_ENERGY_OK;
     }
     return double_pendulum_energy_solve_scaled(S, z, y, tau, info);
 }
@@ -594,12 +609,7 @@ static int double_pendulum_energy_pinv_core(const double *S, double *S_pinv, dou
     }
     if (double_pendulum_energy_within(square, 823, 1223)) {
         if (info != NULL) {
-            info->status = DOUBLE_PENDULUM_ENERGY_OK;
-            info->path = DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_energy_sqrt(square);
-            info->residual = 0.0;
+            (void)double_pendulum_energy_quick_info(square, 0.0, info);
         }
         for (j = 0; j < 2; ++j) {
             S_pinv[j] = S[j] / square;

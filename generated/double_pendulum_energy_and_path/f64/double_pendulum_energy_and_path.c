@@ -338,13 +338,28 @@ static double double_pendulum_energy_and_path_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t double_pendulum_energy_and_path_biased(double x)
+{
+    double_pendulum_energy_and_path_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_energy_and_path_within(double x, uint64_t low, uint64_t high)
 {
-    return (double_pendulum_energy_and_path_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_energy_and_path_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void double_pendulum_energy_and_path_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR
+#endif
+
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -353,7 +368,7 @@ static void double_pendulum_energy_and_path_spread(const double *restrict v, dou
 }
 
 /* The inverse of spreading, without a factor. */
-static void double_pendulum_energy_and_path_gather(const double *restrict w, double *restrict v)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_gather(const double *restrict w, double *restrict v)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -361,7 +376,7 @@ static void double_pendulum_energy_and_path_gather(const double *restrict w, dou
     }
 }
 
-static double double_pendulum_energy_and_path_inner(const double *a, const double *b)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR double double_pendulum_energy_and_path_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
@@ -423,20 +438,27 @@ static void double_pendulum_energy_and_path_normal_solve(const double_pendulum_e
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[4];
-    double L[4];
-    double square[2];  /* squared length of the k-th pivot */
+    double p[2];
+    double l[2];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} double_pendulum_energy_and_path_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    double_pendulum_energy_and_path_line line[2];
+    double_pendulum_energy_and_path_line *at[2];
+    double left[2];    /* squared length of at[k]->p */
     double inverse[2]; /* its inverse */
-    int order[2];
+    double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } double_pendulum_energy_and_path_qr;
 
 /* rest -= along pivot, its squared length. */
-static double double_pendulum_energy_and_path_take_out(double *restrict rest, const double *restrict pivot, double along)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR double double_pendulum_energy_and_path_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -445,50 +467,65 @@ static double double_pendulum_energy_and_path_take_out(double *restrict rest, co
     return double_pendulum_energy_and_path_inner(rest, rest);
 }
 
-static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pendulum_energy_and_path_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void double_pendulum_energy_and_path_qr_reduce(double_pendulum_energy_and_path_qr *f)
 {
-    double left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 4; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = double_pendulum_energy_and_path_inner(B + 2 * i, B + 2 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint64_t best = double_pendulum_energy_and_path_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = double_pendulum_energy_and_path_magnitude(f->left[k]);
+        double_pendulum_energy_and_path_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint64_t other = double_pendulum_energy_and_path_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = double_pendulum_energy_and_path_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 2 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 2 * row;
-            const double along = double_pendulum_energy_and_path_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = double_pendulum_energy_and_path_take_out(rest, pivot, along);
+            double_pendulum_energy_and_path_line *const rest = f->at[i];
+            rest->l[k] = double_pendulum_energy_and_path_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = double_pendulum_energy_and_path_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = double_pendulum_energy_and_path_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pendulum_energy_and_path_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = B[2 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = double_pendulum_energy_and_path_inner(f->line[i].p, f->line[i].p);
+    }
+    double_pendulum_energy_and_path_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
@@ -496,7 +533,7 @@ static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pe
 static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 2 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
     double total = f->total;
@@ -548,16 +585,16 @@ static int double_pendulum_energy_and_path_svd(const double_pendulum_energy_and_
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = double_pendulum_energy_and_path_sqrt(f->square[k]);
+        const double length = double_pendulum_energy_and_path_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0;
     }
     if (f->steps > 0) {
-        double_pendulum_energy_and_path_triangle(left, f->order[0], sigma);
+        double_pendulum_energy_and_path_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -694,6 +731,19 @@ static void double_pendulum_energy_and_path_scale(const double *S, const int *ex
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int double_pendulum_energy_and_path_length(const double *row, int exponent)
+{
+    double shifted[2];
+    double padded[2];
+    int j;
+    for (j = 0; j < 2; ++j) {
+        shifted[j] = double_pendulum_energy_and_path_shift(row[j], -exponent);
+    }
+    double_pendulum_energy_and_path_spread(shifted, 1.0, padded);
+    return exponent + double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_magnitude(double_pendulum_energy_and_path_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int double_pendulum_energy_and_path_values(double_pendulum_energy_and_path_factors *f, double *u)
 {
@@ -764,8 +814,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise(const double *S, double_pendulum_energy_and_path_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise(const double *S, double_pendulum_energy_and_path_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -779,7 +829,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = double_pendulum_energy_and_path_exponent(word.bits);
+            f->exponent[i] = double_pendulum_energy_and_path_length(S + 2 * i, double_pendulum_energy_and_path_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -793,11 +843,11 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
-        if (after_normal || double_pendulum_energy_and_path_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL || double_pendulum_energy_and_path_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR;
             f->direct = 1;
             double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
-            known = double_pendulum_energy_and_path_qr_certified(&f->qr);
+            known = from <= DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR && double_pendulum_energy_and_path_qr_certified(&f->qr);
         }
         if (known) {
             return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
@@ -906,30 +956,22 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 2 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 2 * f->order[1];
-    const double *const p_1 = f->P + 2 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const double_pendulum_energy_and_path_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const double_pendulum_energy_and_path_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 2; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 2; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - double_pendulum_energy_and_path_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 2; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -945,7 +987,7 @@ static void double_pendulum_energy_and_path_normal_apply(const double_pendulum_e
 }
 
 /* r = z - B t. */
-static void double_pendulum_energy_and_path_residual(const double *B, const double *z, const double *t, double *restrict r)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_residual(const double *B, const double *z, const double *t, double *restrict r)
 {
     r[0] = z[0] - double_pendulum_energy_and_path_inner(B, t);
     r[1] = z[1] - double_pendulum_energy_and_path_inner(B + 2, t);
@@ -979,7 +1021,7 @@ static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_a
     }
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int after_normal)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int from)
 {
     double_pendulum_energy_and_path_factors f;
     double zs[2], ys[2], r[2], x[2], answer[2];
@@ -989,7 +1031,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     if (double_pendulum_energy_and_path_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
         return double_pendulum_energy_and_path_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE, info);
     }
-    status = double_pendulum_energy_and_path_factorise(S, &f, after_normal);
+    status = double_pendulum_energy_and_path_factorise(S, &f, from);
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(status, info);
     }
@@ -1052,57 +1094,113 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_path_report(const double *S, const double *z, const double *y, const double *tau, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_path_report(const double *S, const double *z, const double *y, const double *tau, int path, double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_factors f;
     (void)double_pendulum_energy_and_path_consistent(S, z, y, tau, &info->residual);
-    f.path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
+    f.path = path;
     info->status = DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-    info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
+    info->path = path;
     info->rank = 2;
     info->sweeps = 0;
     info->sigma_min = double_pendulum_energy_and_path_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_step(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *B, const double *r, double *x, int careful)
 {
-    double_pendulum_energy_and_path_normal f;
+    if (qr != NULL) {
+        double_pendulum_energy_and_path_qr_apply(qr, r, x, careful);
+    } else {
+        double_pendulum_energy_and_path_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_answer(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *S, const double *B,
+    const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+{
     double r[2], x[2], step[2];
-    int held, j;
-    const double *const B = S;
-    held = double_pendulum_energy_and_path_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            double_pendulum_energy_and_path_normal_apply(&f, B, z, x);
-        } else {
-            double given[2];
-            double_pendulum_energy_and_path_spread(y, 1.0, given);
-            double_pendulum_energy_and_path_residual(B, z, given, r);
-            double_pendulum_energy_and_path_normal_apply(&f, B, r, x);
-            for (j = 0; j < 2; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        double_pendulum_energy_and_path_residual(B, z, x, r);
-        double_pendulum_energy_and_path_normal_apply(&f, B, r, step);
+    } else {
+        double_pendulum_energy_and_path_spread(y, 1.0, step);
+        double_pendulum_energy_and_path_residual(B, z, step, r);
+    }
+    double_pendulum_energy_and_path_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 2; ++j) {
             x[j] += step[j];
         }
-        if (double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_inner(x, x), 23, 1923)) {
-            if (info != NULL) {
-                double answer[2];
-                double_pendulum_energy_and_path_gather(x, answer);
-                double_pendulum_energy_and_path_report(S, z, y, answer, info);
-            }
-            double_pendulum_energy_and_path_gather(x, tau);
-            return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-        }
-        held = -1;
     }
-    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    double_pendulum_energy_and_path_residual(B, z, x, r);
+    double_pendulum_energy_and_path_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 2; ++j) {
+        x[j] += step[j];
+    }
+    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_inner(x, x), 23, 1923)) {
+        return 0;
+    }
+    if (info != NULL) {
+        double answer[2];
+        double_pendulum_energy_and_path_gather(x, answer);
+        double_pendulum_energy_and_path_report(S, z, y, answer, qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL, info);
+    }
+    double_pendulum_energy_and_path_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int double_pendulum_energy_and_path_qr_scaled(const double *B, double_pendulum_energy_and_path_qr *f)
+{
+    uint64_t exponent[2];
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        f->left[i] = double_pendulum_energy_and_path_inner(B + 2 * i, B + 2 * i);
+        exponent[i] = (double_pendulum_energy_and_path_biased(f->left[i]) + 1023) / 2; /* of the length */
+    }
+    for (i = 0; i < 2; ++i) {
+        const double unit = double_pendulum_energy_and_path_power(1023 - (int)exponent[i]);
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = unit * B[2 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    double_pendulum_energy_and_path_qr_reduce(f);
+    return double_pendulum_energy_and_path_qr_certified(f);
+}
+
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_qr(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+{
+    double_pendulum_energy_and_path_qr f;
+    const double *const B = S;
+
+    if (double_pendulum_energy_and_path_qr_scaled(B, &f) && double_pendulum_energy_and_path_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+    }
+    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR);
+}
+
+static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+{
+    double_pendulum_energy_and_path_normal f;
+    int held;
+    const double *const B = S;
+
+    held = double_pendulum_energy_and_path_normal_factor(B, &f);
+    if (held == 1 && double_pendulum_energy_and_path_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+    }
+    if (held == 0) {
+        return double_pendulum_energy_and_path_solve_qr(S, z, y, tau, info);
+    }
+    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1111,7 +1209,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     double_pendulum_energy_and_path_factors f;
     double unit[2], x[2], answer[4];
     int status, i, j;
-    status = double_pendulum_energy_and_path_factorise(S, &f, 1);
+    status = double_pendulum_energy_and_path_factorise(S, &f, DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR);
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(status, info);
     }

@@ -18,7 +18,7 @@ enum {
     DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     DOUBLE_PENDULUM_ENERGY_AND_PATH_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     DOUBLE_PENDULUM_ENERGY_AND_PATH_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -76,7 +76,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 22 operations (16 mul, 5 add, 1 div).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params, double_pendulum_energy_and_path_model *model);
 
 /* psi = psi(q, u, t), holonomic rows psi(q, t), Eqs. (3), (11), [2*1].
@@ -88,19 +88,19 @@ int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_mo
 /* S = J Q^-1 G, J = psi_u or psi_q C, Eq. (8), [2*2].
    Cost: 18 operations (8 mul, 3 add, 3 sub, 2 cos, 1 div, 1 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S);
 
 /* z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12), [2*1].
    Cost: 56 operations (30 mul, 10 add, 9 sub, 3 cos, 3 sin, 1 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z);
 
 /* S = J Q^-1 G, J = psi_u or psi_q C, Eq. (8), [2*2]; z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12), [2*1].
    Cost: 58 operations (30 mul, 11 add, 10 sub, 3 cos, 3 sin, 1 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [2*2] of any S [2*2]; info may be NULL.
@@ -108,7 +108,7 @@ int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_mo
 int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.
-   Cost: 58 operations (30 mul, 11 add, 10 sub, 3 cos, 3 sin, 1 div), and the solver: 71 operations (normal equations), at most 381 (SVD, at most 5 sweeps).
+   Cost: 58 operations (30 mul, 11 add, 10 sub, 3 cos, 3 sin, 1 div), and the solver: 71 operations (normal equations), at most 371 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info);
 

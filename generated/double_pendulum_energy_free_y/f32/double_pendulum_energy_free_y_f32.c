@@ -235,11 +235,11 @@ static double_pendulum_energy_free_y_f32_pair double_pendulum_energy_free_y_f32_
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD __attribute__((noinline, cold))
 #else
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -290,10 +290,18 @@ static int double_pendulum_energy_free_y_f32_exponent(uint32_t magnitude)
     return (int)(magnitude >> 23) - 127 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t double_pendulum_energy_free_y_f32_biased(float x)
+{
+    double_pendulum_energy_free_y_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_energy_free_y_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (double_pendulum_energy_free_y_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_energy_free_y_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -431,11 +439,11 @@ static void double_pendulum_energy_free_y_f32_fill_info(const float *S, int stat
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int double_pendulum_energy_free_y_f32_cancels(float rest, float target)
 {
-    return (rest < 0.0f ? -rest : rest) > 1.5f * (target < 0.0f ? -target : target);
+    return double_pendulum_energy_free_y_f32_biased(rest) > double_pendulum_energy_free_y_f32_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     double_pendulum_energy_free_y_f32_scaled_row row;
     float answer[2];
@@ -479,7 +487,7 @@ static int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const 
         for (j = 0; j < 2; ++j) {
             target -= row.s[j] * double_pendulum_energy_free_y_f32_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0f / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_free_y_f32_shift(row.s[j] * target, unit);
         }
@@ -502,7 +510,7 @@ static int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const 
     return status;
 }
 
-static int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
 {
     double_pendulum_energy_free_y_f32_scaled_row row;
     float answer[2];
@@ -526,6 +534,17 @@ static int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S, float *
     return status;
 }
 
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_quick_info(float square, float residual, double_pendulum_energy_free_y_f32_info *info)
+{
+    info->status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
+    info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = double_pendulum_energy_free_y_f32_sqrt(square);
+    info->residual = residual < 0.0f ? -residual : residual;
+    return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
+}
+
 static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     const float s_0 = S[0];
@@ -534,45 +553,41 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
     const float square = s_0 * s_0 + s_1 * s_1;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_energy_free_y_f32_within(square, 97, 157)) {
-        float rest = target;
-        float t_0, t_1;
         if (y == NULL) {
-            if (!double_pendulum_energy_free_y_f32_within(rest, 67, 187)) {
-                return double_pendulum_energy_free_y_f32_solve_scaled(S, z, y, tau, info);
+            if (double_pendulum_energy_free_y_f32_within(target, 67, 187)) {
+                const float scale = target / square;
+                const float t_0 = s_0 * scale;
+                const float t_1 = s_1 * scale;
+                tau[0] = t_0;
+                tau[1] = t_1;
+                if (info != NULL) {
+                    return double_pendulum_energy_free_y_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                }
+                return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
-            t_1 = s_1 * rest;
         } else {
             const float y_0 = y[0];
             const float y_1 = y[1];
-            rest = rest - s_0 * y_0 - s_1 * y_1;
-            if (!double_pendulum_energy_free_y_f32_within(rest, 67, 187)) {
-                return double_pendulum_energy_free_y_f32_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const float rest = target - s_0 * y_0 - s_1 * y_1;
+            if (double_pendulum_energy_free_y_f32_within(rest, 67, 187)) {
                 const float scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-                t_1 = y_1 + s_1 * scale;
-            }
-            if (double_pendulum_energy_free_y_f32_cancels(rest, target)) {
-                rest = (target - s_0 * t_0 - s_1 * t_1) / square;
-                t_0 += s_0 * rest;
-                t_1 += s_1 * rest;
+                float t_0 = y_0 + s_0 * scale;
+                float t_1 = y_1 + s_1 * scale;
+                if (double_pendulum_energy_free_y_f32_cancels(rest, target)) {
+                    const float more = (target - s_0 * t_0 - s_1 * t_1) * (1.0f / square);
+                    t_0 += s_0 * more;
+                    t_1 += s_1 * more;
+                }
+                tau[0] = t_0;
+                tau[1] = t_1;
+                if (info != NULL) {
+                    return double_pendulum_energy_free_y_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                }
+                return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
+
             }
         }
-        tau[0] = t_0;
-        tau[1] = t_1;
-        if (info != NULL) {
-            rest = target - s_0 * t_0 - s_1 * t_1;
-            info->status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-            info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_energy_free_y_f32_sqrt(square);
-            info->residual = rest < 0.0f ? -rest : rest;
-        }
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
     }
     return double_pendulum_energy_free_y_f32_solve_scaled(S, z, y, tau, info);
 }
@@ -586,12 +601,7 @@ static int double_pendulum_energy_free_y_f32_pinv_core(const float *S, float *S_
     }
     if (double_pendulum_energy_free_y_f32_within(square, 97, 157)) {
         if (info != NULL) {
-            info->status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-            info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_energy_free_y_f32_sqrt(square);
-            info->residual = 0.0f;
+            (void)double_pendulum_energy_free_y_f32_quick_info(square, 0.0f, info);
         }
         for (j = 0; j < 2; ++j) {
             S_pinv[j] = S[j] / square;

@@ -18,7 +18,7 @@ enum {
     DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -78,7 +78,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 43 operations (26 mul, 5 add, 5 div, 5 sub, 2 sqrt).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_y_f32_params *params, double_pendulum_energy_free_y_f32_model *model);
 
 /* psi = psi(q, u, t), Eq. (3), [1*1].

@@ -295,13 +295,28 @@ static float double_pendulum_ideal_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t double_pendulum_ideal_f32_biased(float x)
+{
+    double_pendulum_ideal_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_ideal_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (double_pendulum_ideal_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_ideal_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void double_pendulum_ideal_f32_spread(const float *restrict v, float factor, float *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define DOUBLE_PENDULUM_IDEAL_F32_NEAR inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
+#endif
+
+static DOUBLE_PENDULUM_IDEAL_F32_NEAR void double_pendulum_ideal_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -309,7 +324,7 @@ static void double_pendulum_ideal_f32_spread(const float *restrict v, float fact
     }
 }
 
-static float double_pendulum_ideal_f32_inner(const float *a, const float *b)
+static DOUBLE_PENDULUM_IDEAL_F32_NEAR float double_pendulum_ideal_f32_inner(const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
@@ -371,20 +386,27 @@ static void double_pendulum_ideal_f32_normal_solve(const double_pendulum_ideal_f
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    float P[4];
-    float L[4];
-    float square[2];  /* squared length of the k-th pivot */
+    float p[2];
+    float l[2];
+    float unit; /* a power of two: p began as unit times the row */
+    int row;
+} double_pendulum_ideal_f32_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    double_pendulum_ideal_f32_line line[2];
+    double_pendulum_ideal_f32_line *at[2];
+    float left[2];    /* squared length of at[k]->p */
     float inverse[2]; /* its inverse */
-    int order[2];
+    float cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } double_pendulum_ideal_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static float double_pendulum_ideal_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static DOUBLE_PENDULUM_IDEAL_F32_NEAR float double_pendulum_ideal_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -393,50 +415,65 @@ static float double_pendulum_ideal_f32_take_out(float *restrict rest, const floa
     return double_pendulum_ideal_f32_inner(rest, rest);
 }
 
-static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_ideal_f32_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void double_pendulum_ideal_f32_qr_reduce(double_pendulum_ideal_f32_qr *f)
 {
-    float left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 4; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = double_pendulum_ideal_f32_inner(B + 2 * i, B + 2 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint32_t best = double_pendulum_ideal_f32_magnitude(left[f->order[k]]);
-        const float *pivot;
-        float square, inverse;
-        int at = k;
+        uint32_t best = double_pendulum_ideal_f32_magnitude(f->left[k]);
+        double_pendulum_ideal_f32_line *pivot;
+        float square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint32_t other = double_pendulum_ideal_f32_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint32_t other = double_pendulum_ideal_f32_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 2 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0f;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0f;
         if (!(square >= 7.70372e-34f)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0f / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0f / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            float *const rest = f->P + 2 * row;
-            const float along = double_pendulum_ideal_f32_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = double_pendulum_ideal_f32_take_out(rest, pivot, along);
+            double_pendulum_ideal_f32_line *const rest = f->at[i];
+            rest->l[k] = double_pendulum_ideal_f32_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = double_pendulum_ideal_f32_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = double_pendulum_ideal_f32_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_ideal_f32_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = B[2 * i + j];
+        }
+        f->line[i].unit = 1.0f;
+        f->line[i].row = i;
+        f->left[i] = double_pendulum_ideal_f32_inner(f->line[i].p, f->line[i].p);
+    }
+    double_pendulum_ideal_f32_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above but
@@ -444,7 +481,7 @@ static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_
 static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const float *const row_1 = f->L + 2 * f->order[1];
+    const float *const row_1 = f->at[1]->l;
     float n_1_0;
     float bound;
     float total = f->total;
@@ -496,16 +533,16 @@ static int double_pendulum_ideal_f32_svd(const double_pendulum_ideal_f32_qr *f, 
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = double_pendulum_ideal_f32_sqrt(f->square[k]);
+        const float length = double_pendulum_ideal_f32_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0f;
     }
     if (f->steps > 0) {
-        double_pendulum_ideal_f32_triangle(left, f->order[0], sigma);
+        double_pendulum_ideal_f32_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -642,6 +679,19 @@ static void double_pendulum_ideal_f32_scale(const float *S, const int *exponent,
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int double_pendulum_ideal_f32_length(const float *row, int exponent)
+{
+    float shifted[2];
+    float padded[2];
+    int j;
+    for (j = 0; j < 2; ++j) {
+        shifted[j] = double_pendulum_ideal_f32_shift(row[j], -exponent);
+    }
+    double_pendulum_ideal_f32_spread(shifted, 1.0f, padded);
+    return exponent + double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_magnitude(double_pendulum_ideal_f32_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int double_pendulum_ideal_f32_values(double_pendulum_ideal_f32_factors *f, float *u)
 {
@@ -712,8 +762,8 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_s
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_ideal_f32_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_ideal_f32_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -727,7 +777,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(c
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0f) {
-            f->exponent[i] = double_pendulum_ideal_f32_exponent(word.bits);
+            f->exponent[i] = double_pendulum_ideal_f32_length(S + 2 * i, double_pendulum_ideal_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -741,11 +791,11 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(c
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL;
-        if (after_normal || double_pendulum_ideal_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL || double_pendulum_ideal_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_QR;
             f->direct = 1;
             double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
-            known = double_pendulum_ideal_f32_qr_certified(&f->qr);
+            known = from <= DOUBLE_PENDULUM_IDEAL_F32_PATH_QR && double_pendulum_ideal_f32_qr_certified(&f->qr);
         }
         if (known) {
             return DOUBLE_PENDULUM_IDEAL_F32_OK;
@@ -854,30 +904,22 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    const float *const p_0 = f->P + 2 * f->order[0];
-    const float w_0 = r[f->order[0]];
-    const float *const row_1 = f->L + 2 * f->order[1];
-    const float *const p_1 = f->P + 2 * f->order[1];
-    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const double_pendulum_ideal_f32_line *const p_0 = f->at[0];
+    const float w_0 = p_0->unit * r[p_0->row];
+    const double_pendulum_ideal_f32_line *const p_1 = f->at[1];
+    const float w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 2; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 2; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - double_pendulum_ideal_f32_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 2; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -927,7 +969,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(c
     double_pendulum_ideal_f32_factors f;
     float unit[2], x[2], answer[4];
     int status, i, j;
-    status = double_pendulum_ideal_f32_factorise(S, &f, 1);
+    status = double_pendulum_ideal_f32_factorise(S, &f, DOUBLE_PENDULUM_IDEAL_F32_PATH_QR);
     if (status < 0) {
         return double_pendulum_ideal_f32_refuse(status, info);
     }
@@ -992,11 +1034,11 @@ static uint32_t double_pendulum_ideal_f32_reaction_largest(const float *x, int n
     return largest;
 }
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_F32_APART __attribute__((noinline))
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD __attribute__((noinline, cold))
 #else
-#define DOUBLE_PENDULUM_IDEAL_F32_APART
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -1047,10 +1089,18 @@ static int double_pendulum_ideal_f32_reaction_exponent(uint32_t magnitude)
     return (int)(magnitude >> 23) - 127 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t double_pendulum_ideal_f32_reaction_biased(float x)
+{
+    double_pendulum_ideal_f32_reaction_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_ideal_f32_reaction_within(float x, uint32_t low, uint32_t high)
 {
-    return (double_pendulum_ideal_f32_reaction_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_ideal_f32_reaction_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -1188,11 +1238,11 @@ static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int sta
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int double_pendulum_ideal_f32_reaction_cancels(float rest, float target)
 {
-    return (rest < 0.0f ? -rest : rest) > 1.5f * (target < 0.0f ? -target : target);
+    return double_pendulum_ideal_f32_reaction_biased(rest) > double_pendulum_ideal_f32_reaction_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     double_pendulum_ideal_f32_reaction_scaled_row row;
     float answer[1];
@@ -1236,7 +1286,7 @@ static int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const
         for (j = 0; j < 1; ++j) {
             target -= row.s[j] * double_pendulum_ideal_f32_reaction_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0f / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_f32_reaction_shift(row.s[j] * target, unit);
         }
@@ -1259,6 +1309,17 @@ static int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const
     return status;
 }
 
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_quick_info(float square, float residual, double_pendulum_ideal_f32_reaction_info *info)
+{
+    info->status = DOUBLE_PENDULUM_IDEAL_F32_OK;
+    info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = double_pendulum_ideal_f32_sqrt(square);
+    info->residual = residual < 0.0f ? -residual : residual;
+    return DOUBLE_PENDULUM_IDEAL_F32_OK;
+}
+
 static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     const float s_0 = S[0];
@@ -1266,40 +1327,35 @@ static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const f
     const float square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_f32_reaction_within(square, 97, 157)) {
-        float rest = target;
-        float t_0;
         if (y == NULL) {
-            if (!double_pendulum_ideal_f32_reaction_within(rest, 67, 187)) {
-                return double_pendulum_ideal_f32_reaction_solve_scaled(S, z, y, tau, info);
+            if (double_pendulum_ideal_f32_reaction_within(target, 67, 187)) {
+                const float scale = target / square;
+                const float t_0 = s_0 * scale;
+                tau[0] = t_0;
+                if (info != NULL) {
+                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - s_0 * t_0, info);
+                }
+                return DOUBLE_PENDULUM_IDEAL_F32_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
         } else {
             const float y_0 = y[0];
-            rest = rest - s_0 * y_0;
-            if (!double_pendulum_ideal_f32_reaction_within(rest, 67, 187)) {
-                return double_pendulum_ideal_f32_reaction_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const float rest = target - s_0 * y_0;
+            if (double_pendulum_ideal_f32_reaction_within(rest, 67, 187)) {
                 const float scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-            }
-            if (double_pendulum_ideal_f32_reaction_cancels(rest, target)) {
-                rest = (target - s_0 * t_0) / square;
-                t_0 += s_0 * rest;
+                float t_0 = y_0 + s_0 * scale;
+                if (double_pendulum_ideal_f32_reaction_cancels(rest, target)) {
+                    const float more = (target - s_0 * t_0) * (1.0f / square);
+                    t_0 += s_0 * more;
+                }
+                tau[0] = t_0;
+                if (info != NULL) {
+                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - s_0 * t_0, info);
+                }
+                return DOUBLE_PENDULUM_IDEAL_F32_OK;
+
             }
         }
-        tau[0] = t_0;
-        if (info != NULL) {
-            rest = target - s_0 * t_0;
-            info->status = DOUBLE_PENDULUM_IDEAL_F32_OK;
-            info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_ideal_f32_sqrt(square);
-            info->residual = rest < 0.0f ? -rest : rest;
-        }
-        return DOUBLE_PENDULUM_IDEAL_F32_OK;
     }
     return double_pendulum_ideal_f32_reaction_solve_scaled(S, z, y, tau, info);
 }

@@ -329,13 +329,28 @@ static double double_pendulum_ideal_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t double_pendulum_ideal_biased(double x)
+{
+    double_pendulum_ideal_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_ideal_within(double x, uint64_t low, uint64_t high)
 {
-    return (double_pendulum_ideal_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_ideal_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void double_pendulum_ideal_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define DOUBLE_PENDULUM_IDEAL_NEAR inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_NEAR
+#endif
+
+static DOUBLE_PENDULUM_IDEAL_NEAR void double_pendulum_ideal_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -343,7 +358,7 @@ static void double_pendulum_ideal_spread(const double *restrict v, double factor
     }
 }
 
-static double double_pendulum_ideal_inner(const double *a, const double *b)
+static DOUBLE_PENDULUM_IDEAL_NEAR double double_pendulum_ideal_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
@@ -405,20 +420,27 @@ static void double_pendulum_ideal_normal_solve(const double_pendulum_ideal_norma
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[4];
-    double L[4];
-    double square[2];  /* squared length of the k-th pivot */
+    double p[2];
+    double l[2];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} double_pendulum_ideal_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    double_pendulum_ideal_line line[2];
+    double_pendulum_ideal_line *at[2];
+    double left[2];    /* squared length of at[k]->p */
     double inverse[2]; /* its inverse */
-    int order[2];
+    double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } double_pendulum_ideal_qr;
 
 /* rest -= along pivot, its squared length. */
-static double double_pendulum_ideal_take_out(double *restrict rest, const double *restrict pivot, double along)
+static DOUBLE_PENDULUM_IDEAL_NEAR double double_pendulum_ideal_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -427,50 +449,65 @@ static double double_pendulum_ideal_take_out(double *restrict rest, const double
     return double_pendulum_ideal_inner(rest, rest);
 }
 
-static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ideal_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void double_pendulum_ideal_qr_reduce(double_pendulum_ideal_qr *f)
 {
-    double left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 4; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = double_pendulum_ideal_inner(B + 2 * i, B + 2 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint64_t best = double_pendulum_ideal_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = double_pendulum_ideal_magnitude(f->left[k]);
+        double_pendulum_ideal_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint64_t other = double_pendulum_ideal_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = double_pendulum_ideal_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 2 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 2 * row;
-            const double along = double_pendulum_ideal_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = double_pendulum_ideal_take_out(rest, pivot, along);
+            double_pendulum_ideal_line *const rest = f->at[i];
+            rest->l[k] = double_pendulum_ideal_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = double_pendulum_ideal_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = double_pendulum_ideal_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ideal_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = B[2 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = double_pendulum_ideal_inner(f->line[i].p, f->line[i].p);
+    }
+    double_pendulum_ideal_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
@@ -478,7 +515,7 @@ static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ide
 static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 2 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
     double total = f->total;
@@ -530,16 +567,16 @@ static int double_pendulum_ideal_svd(const double_pendulum_ideal_qr *f, double *
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = double_pendulum_ideal_sqrt(f->square[k]);
+        const double length = double_pendulum_ideal_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0;
     }
     if (f->steps > 0) {
-        double_pendulum_ideal_triangle(left, f->order[0], sigma);
+        double_pendulum_ideal_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -676,6 +713,19 @@ static void double_pendulum_ideal_scale(const double *S, const int *exponent, do
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int double_pendulum_ideal_length(const double *row, int exponent)
+{
+    double shifted[2];
+    double padded[2];
+    int j;
+    for (j = 0; j < 2; ++j) {
+        shifted[j] = double_pendulum_ideal_shift(row[j], -exponent);
+    }
+    double_pendulum_ideal_spread(shifted, 1.0, padded);
+    return exponent + double_pendulum_ideal_exponent(double_pendulum_ideal_magnitude(double_pendulum_ideal_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int double_pendulum_ideal_values(double_pendulum_ideal_factors *f, double *u)
 {
@@ -746,8 +796,8 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise_svd(const
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const double *S, double_pendulum_ideal_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const double *S, double_pendulum_ideal_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -761,7 +811,7 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const dou
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = double_pendulum_ideal_exponent(word.bits);
+            f->exponent[i] = double_pendulum_ideal_length(S + 2 * i, double_pendulum_ideal_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -775,11 +825,11 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const dou
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_IDEAL_PATH_NORMAL;
-        if (after_normal || double_pendulum_ideal_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_IDEAL_PATH_NORMAL || double_pendulum_ideal_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_IDEAL_PATH_QR;
             f->direct = 1;
             double_pendulum_ideal_qr_factor(f->B, &f->qr);
-            known = double_pendulum_ideal_qr_certified(&f->qr);
+            known = from <= DOUBLE_PENDULUM_IDEAL_PATH_QR && double_pendulum_ideal_qr_certified(&f->qr);
         }
         if (known) {
             return DOUBLE_PENDULUM_IDEAL_OK;
@@ -888,30 +938,22 @@ static int double_pendulum_ideal_consistent(const double *S, const double *z, co
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_ideal_qr_apply(const double_pendulum_ideal_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 2 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 2 * f->order[1];
-    const double *const p_1 = f->P + 2 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const double_pendulum_ideal_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const double_pendulum_ideal_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 2; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 2; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - double_pendulum_ideal_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 2; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -961,7 +1003,7 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_pinv_core(const dou
     double_pendulum_ideal_factors f;
     double unit[2], x[2], answer[4];
     int status, i, j;
-    status = double_pendulum_ideal_factorise(S, &f, 1);
+    status = double_pendulum_ideal_factorise(S, &f, DOUBLE_PENDULUM_IDEAL_PATH_QR);
     if (status < 0) {
         return double_pendulum_ideal_refuse(status, info);
     }
@@ -1026,11 +1068,11 @@ static uint64_t double_pendulum_ideal_reaction_largest(const double *x, int n)
     return largest;
 }
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_APART __attribute__((noinline))
+#define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
 #else
-#define DOUBLE_PENDULUM_IDEAL_APART
+#define DOUBLE_PENDULUM_IDEAL_COLD
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -1081,10 +1123,18 @@ static int double_pendulum_ideal_reaction_exponent(uint64_t magnitude)
     return (int)(magnitude >> 52) - 1023 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t double_pendulum_ideal_reaction_biased(double x)
+{
+    double_pendulum_ideal_reaction_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int double_pendulum_ideal_reaction_within(double x, uint64_t low, uint64_t high)
 {
-    return (double_pendulum_ideal_reaction_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return double_pendulum_ideal_reaction_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -1222,11 +1272,11 @@ static void double_pendulum_ideal_reaction_fill_info(const double *S, int status
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int double_pendulum_ideal_reaction_cancels(double rest, double target)
 {
-    return (rest < 0.0 ? -rest : rest) > 1.5 * (target < 0.0 ? -target : target);
+    return double_pendulum_ideal_reaction_biased(rest) > double_pendulum_ideal_reaction_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int double_pendulum_ideal_reaction_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     double_pendulum_ideal_reaction_scaled_row row;
     double answer[1];
@@ -1270,7 +1320,7 @@ static int double_pendulum_ideal_reaction_solve_scaled(const double *S, const do
         for (j = 0; j < 1; ++j) {
             target -= row.s[j] * double_pendulum_ideal_reaction_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0 / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_reaction_shift(row.s[j] * target, unit);
         }
@@ -1293,6 +1343,17 @@ static int double_pendulum_ideal_reaction_solve_scaled(const double *S, const do
     return status;
 }
 
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_quick_info(double square, double residual, double_pendulum_ideal_reaction_info *info)
+{
+    info->status = DOUBLE_PENDULUM_IDEAL_OK;
+    info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = double_pendulum_ideal_sqrt(square);
+    info->residual = residual < 0.0 ? -residual : residual;
+    return DOUBLE_PENDULUM_IDEAL_OK;
+}
+
 static int double_pendulum_ideal_reaction_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double s_0 = S[0];
@@ -1300,40 +1361,35 @@ static int double_pendulum_ideal_reaction_solve_core(const double *S, const doub
     const double square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_reaction_within(square, 823, 1223)) {
-        double rest = target;
-        double t_0;
         if (y == NULL) {
-            if (!double_pendulum_ideal_reaction_within(rest, 323, 1723)) {
-                return double_pendulum_ideal_reaction_solve_scaled(S, z, y, tau, info);
+            if (double_pendulum_ideal_reaction_within(target, 323, 1723)) {
+                const double scale = target / square;
+                const double t_0 = s_0 * scale;
+                tau[0] = t_0;
+                if (info != NULL) {
+                    return double_pendulum_ideal_reaction_quick_info(square, target - s_0 * t_0, info);
+                }
+                return DOUBLE_PENDULUM_IDEAL_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
         } else {
             const double y_0 = y[0];
-            rest = rest - s_0 * y_0;
-            if (!double_pendulum_ideal_reaction_within(rest, 323, 1723)) {
-                return double_pendulum_ideal_reaction_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const double rest = target - s_0 * y_0;
+            if (double_pendulum_ideal_reaction_within(rest, 323, 1723)) {
                 const double scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-            }
-            if (double_pendulum_ideal_reaction_cancels(rest, target)) {
-                rest = (target - s_0 * t_0) / square;
-                t_0 += s_0 * rest;
+                double t_0 = y_0 + s_0 * scale;
+                if (double_pendulum_ideal_reaction_cancels(rest, target)) {
+                    const double more = (target - s_0 * t_0) * (1.0 / square);
+                    t_0 += s_0 * more;
+                }
+                tau[0] = t_0;
+                if (info != NULL) {
+                    return double_pendulum_ideal_reaction_quick_info(square, target - s_0 * t_0, info);
+                }
+                return DOUBLE_PENDULUM_IDEAL_OK;
+
             }
         }
-        tau[0] = t_0;
-        if (info != NULL) {
-            rest = target - s_0 * t_0;
-            info->status = DOUBLE_PENDULUM_IDEAL_OK;
-            info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = double_pendulum_ideal_sqrt(square);
-            info->residual = rest < 0.0 ? -rest : rest;
-        }
-        return DOUBLE_PENDULUM_IDEAL_OK;
     }
     return double_pendulum_ideal_reaction_solve_scaled(S, z, y, tau, info);
 }

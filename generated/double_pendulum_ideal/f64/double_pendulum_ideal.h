@@ -18,7 +18,7 @@ enum {
     DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     DOUBLE_PENDULUM_IDEAL_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     DOUBLE_PENDULUM_IDEAL_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    DOUBLE_PENDULUM_IDEAL_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    DOUBLE_PENDULUM_IDEAL_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     DOUBLE_PENDULUM_IDEAL_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     DOUBLE_PENDULUM_IDEAL_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -74,7 +74,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 12 operations (10 mul, 2 add).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int double_pendulum_ideal_prepare(const double_pendulum_ideal_params *params, double_pendulum_ideal_model *model);
 
 /* psi = psi(q, u, t), Eqs. (3), (11), [1*1].
@@ -97,7 +97,7 @@ int double_pendulum_ideal_F(const double_pendulum_ideal_model *model, const doub
 
 /* R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P), Eq. (17), [2]: the forces of an ideal passive constraint.
    Cost: 24 operations (11 mul, 6 add, 4 sub, 3 cos), and a solve of 1 x 1.
-   Returns a status as above: positive where the constraints are not independent, or cannot all be met. */
+   Returns a status as above: positive where the constraints are not independent, consistent or not. */
 int double_pendulum_ideal_R(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *R);
 
 /* The pseudo-inverse G+ [2*2] of any G [2*2]; info may be NULL.
@@ -105,7 +105,8 @@ int double_pendulum_ideal_R(const double_pendulum_ideal_model *model, const doub
 int double_pendulum_ideal_pinv(const double *G, double *G_pinv, double_pendulum_ideal_info *info);
 
 /* tau = G+ R, Eq. (16), [2]; info may be NULL.
-   info->residual is |R - G tau|, the part of R out of reach of the controls.
+   info->residual is |R - G tau|, the part of R out of reach of the controls; info->rank and info->sigma_min are of G. The
+   status is the greater of this solve's and double_pendulum_ideal_R's: how dependent the constraints are is said by double_pendulum_ideal_R alone.
    Cost: 24 operations (11 mul, 6 add, 4 sub, 3 cos), and the solver: 6 operations, no factorisation.
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *tau, double_pendulum_ideal_info *info);

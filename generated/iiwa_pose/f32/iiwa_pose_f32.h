@@ -18,7 +18,7 @@ enum {
     IIWA_POSE_F32_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     IIWA_POSE_F32_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     IIWA_POSE_F32_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    IIWA_POSE_F32_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    IIWA_POSE_F32_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     IIWA_POSE_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     IIWA_POSE_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -77,19 +77,19 @@ int iiwa_pose_f32_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [6*7].
    Cost: 1107 operations (618 mul, 270 sub, 200 add, 7 cos, 7 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_pose_f32_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S);
 
 /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [6*1].
    Cost: 1658 operations (920 mul, 407 sub, 312 add, 7 cos, 7 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_pose_f32_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z);
 
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [6*7]; z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [6*1].
    Cost: 1718 operations (953 mul, 423 sub, 323 add, 7 cos, 7 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_pose_f32_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [7*6] of any S [6*7]; info may be NULL.
@@ -97,7 +97,7 @@ int iiwa_pose_f32_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
 int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [7]; info may be NULL.
-   Cost: 1718 operations (953 mul, 423 sub, 323 add, 7 cos, 7 sin, 5 div), and the solver: 1019 operations (normal equations), at most 26605 (SVD, at most 10 sweeps).
+   Cost: 1718 operations (953 mul, 423 sub, 323 add, 7 cos, 7 sin, 5 div), and the solver: 1019 operations (normal equations), at most 27382 (SVD, at most 10 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau, iiwa_pose_f32_info *info);
 

@@ -286,28 +286,44 @@ static float iiwa_position_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t iiwa_position_f32_biased(float x)
+{
+    iiwa_position_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int iiwa_position_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (iiwa_position_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return iiwa_position_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 zero.
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define IIWA_POSITION_F32_NEAR inline __attribute__((always_inline))
+#else
+#define IIWA_POSITION_F32_NEAR
+#endif
+
+static const float iiwa_position_f32_last[4] = { 0.0f, 1.0f, 1.0f, 1.0f };
+
+/* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 made zero.
    Blocks are loaded and stored whole: a number stored alone would stall the vector that is read over it. */
-static void iiwa_position_f32_spread(const float *restrict v, float factor, float *restrict w)
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
-    w[4] = 0.0f;
-    w[5] = factor * v[4];
-    w[6] = factor * v[5];
-    w[7] = factor * v[6];
+    for (k = 0; k < 4; ++k) {
+        w[4 + k] = factor * (iiwa_position_f32_last[k] * v[3 + k]);
+    }
 }
 
 /* The inverse of spreading, without a factor. */
-static void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
     for (k = 0; k < 4; ++k) {
@@ -319,7 +335,7 @@ static void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
 }
 
 /* a b, in four sums that a machine with vectors and one without add up alike. */
-static float iiwa_position_f32_inner(const float *a, const float *b)
+static IIWA_POSITION_F32_NEAR float iiwa_position_f32_inner(const float *a, const float *b)
 {
     float sum[4];
     int k;
@@ -412,20 +428,27 @@ static void iiwa_position_f32_normal_solve(const iiwa_position_f32_normal *f, co
     w[2] = b_2;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    float P[24];
-    float L[9];
-    float square[3];  /* squared length of the k-th pivot */
+    float p[8];
+    float l[3];
+    float unit; /* a power of two: p began as unit times the row */
+    int row;
+} iiwa_position_f32_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    iiwa_position_f32_line line[3];
+    iiwa_position_f32_line *at[3];
+    float left[3];    /* squared length of at[k]->p */
     float inverse[3]; /* its inverse */
-    int order[3];
+    float cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } iiwa_position_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static float iiwa_position_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static IIWA_POSITION_F32_NEAR float iiwa_position_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -434,50 +457,65 @@ static float iiwa_position_f32_take_out(float *restrict rest, const float *restr
     return iiwa_position_f32_inner(rest, rest);
 }
 
-static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void iiwa_position_f32_qr_reduce(iiwa_position_f32_qr *f)
 {
-    float left[3]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 24; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 3; ++i) {
-        left[i] = iiwa_position_f32_inner(B + 8 * i, B + 8 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 3; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 3; ++k) {
-        uint32_t best = iiwa_position_f32_magnitude(left[f->order[k]]);
-        const float *pivot;
-        float square, inverse;
-        int at = k;
+        uint32_t best = iiwa_position_f32_magnitude(f->left[k]);
+        iiwa_position_f32_line *pivot;
+        float square;
+        int top = k;
         for (i = k + 1; i < 3; ++i) {
-            const uint32_t other = iiwa_position_f32_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint32_t other = iiwa_position_f32_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 8 * i;
-        square = left[i];
-        f->L[3 * i + k] = 1.0f;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0f;
         if (!(square >= 7.70372e-34f)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0f / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0f / square;
         for (i = k + 1; i < 3; ++i) {
-            const int row = f->order[i];
-            float *const rest = f->P + 8 * row;
-            const float along = iiwa_position_f32_inner(pivot, rest) * inverse;
-            f->L[3 * row + k] = along;
-            left[row] = iiwa_position_f32_take_out(rest, pivot, along);
+            iiwa_position_f32_line *const rest = f->at[i];
+            rest->l[k] = iiwa_position_f32_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = iiwa_position_f32_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 3; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = iiwa_position_f32_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        for (j = 0; j < 8; ++j) {
+            f->line[i].p[j] = B[8 * i + j];
+        }
+        f->line[i].unit = 1.0f;
+        f->line[i].row = i;
+        f->left[i] = iiwa_position_f32_inner(f->line[i].p, f->line[i].p);
+    }
+    iiwa_position_f32_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above but
@@ -485,9 +523,9 @@ static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
 static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const float *const row_1 = f->L + 3 * f->order[1];
+    const float *const row_1 = f->at[1]->l;
     float n_1_0;
-    const float *const row_2 = f->L + 3 * f->order[2];
+    const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
     float total = f->total;
@@ -597,9 +635,9 @@ static int iiwa_position_f32_svd(const iiwa_position_f32_qr *f, float *left, flo
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * iiwa_position_f32_sqrt(f->square[k]);
+        const float length = 1048576.0f * iiwa_position_f32_sqrt(f->left[k]);
         for (i = k; i < 3; ++i) {
-            left[3 * k + f->order[i]] = f->L[3 * f->order[i] + k] * length;
+            left[3 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 3; ++k) {
@@ -749,6 +787,19 @@ static void iiwa_position_f32_scale(const float *S, const int *exponent, float *
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int iiwa_position_f32_length(const float *row, int exponent)
+{
+    float shifted[7];
+    float padded[8];
+    int j;
+    for (j = 0; j < 7; ++j) {
+        shifted[j] = iiwa_position_f32_shift(row[j], -exponent);
+    }
+    iiwa_position_f32_spread(shifted, 1.0f, padded);
+    return exponent + iiwa_position_f32_exponent(iiwa_position_f32_magnitude(iiwa_position_f32_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int iiwa_position_f32_values(iiwa_position_f32_factors *f, float *u)
 {
@@ -764,6 +815,7 @@ static void iiwa_position_f32_vectors(iiwa_position_f32_factors *f, const float 
     for (k = 0; k < f->rank; ++k) {
         float *const near = f->left + 3 * k;
         float *const far = f->right + 8 * k;
+        float square, inverse;
         f->gain[k] = f->sigma[k] > 0.0f ? 1.0f / f->sigma[k] : 0.0f;
         for (i = 0; i < 3; ++i) {
             near[i] = u[3 * k + i];
@@ -776,8 +828,17 @@ static void iiwa_position_f32_vectors(iiwa_position_f32_factors *f, const float 
                 far[j] += near[i] * f->B[8 * i + j];
             }
         }
+        for (i = 0; i < k; ++i) { /* far from a large sigma, rounding has turned it towards the vectors before */
+            const float *const other = f->right + 8 * i;
+            const float along = iiwa_position_f32_inner(other, far);
+            for (j = 0; j < 8; ++j) {
+                far[j] -= along * other[j];
+            }
+        }
+        square = iiwa_position_f32_inner(far, far);
+        inverse = square > 0.0f ? 1.0f / iiwa_position_f32_sqrt(square) : 0.0f;
         for (j = 0; j < 8; ++j) {
-            far[j] *= f->gain[k];
+            far[j] *= inverse;
         }
     }
 }
@@ -809,8 +870,8 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise_svd(const float *
     return IIWA_POSITION_F32_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, iiwa_position_f32_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, iiwa_position_f32_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -824,7 +885,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, i
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0f) {
-            f->exponent[i] = iiwa_position_f32_exponent(word.bits);
+            f->exponent[i] = iiwa_position_f32_length(S + 7 * i, iiwa_position_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -838,11 +899,11 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, i
         int known = 1;
         f->rank = 3;
         f->path = IIWA_POSITION_F32_PATH_NORMAL;
-        if (after_normal || iiwa_position_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > IIWA_POSITION_F32_PATH_NORMAL || iiwa_position_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = IIWA_POSITION_F32_PATH_QR;
             f->direct = 1;
             iiwa_position_f32_qr_factor(f->B, &f->qr);
-            known = iiwa_position_f32_qr_certified(&f->qr);
+            known = from <= IIWA_POSITION_F32_PATH_QR && iiwa_position_f32_qr_certified(&f->qr);
         }
         if (known) {
             return IIWA_POSITION_F32_OK;
@@ -951,38 +1012,26 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_position_f32_qr_apply(const iiwa_position_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    const float *const p_0 = f->P + 8 * f->order[0];
-    const float w_0 = r[f->order[0]];
-    const float *const row_1 = f->L + 3 * f->order[1];
-    const float *const p_1 = f->P + 8 * f->order[1];
-    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
-    const float *const row_2 = f->L + 3 * f->order[2];
-    const float *const p_2 = f->P + 8 * f->order[2];
-    const float w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    const iiwa_position_f32_line *const p_0 = f->at[0];
+    const float w_0 = p_0->unit * r[p_0->row];
+    const iiwa_position_f32_line *const p_1 = f->at[1];
+    const float w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
+    const iiwa_position_f32_line *const p_2 = f->at[2];
+    const float w_2 = p_2->unit * r[p_2->row] - p_2->l[0] * w_0 - p_2->l[1] * w_1;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     float c_2 = w_2 * f->inverse[2];
     int j;
-    if (!careful) {
-        for (j = 0; j < 8; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j];
-        }
-        return;
+    if (careful) {
+        c_1 = (w_1 - f->cross[2] * c_2) * f->inverse[1];
+        c_0 = (w_0 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_2 * p_2[j];
-    }
-    c_1 = (w_1 - iiwa_position_f32_inner(p_1, x)) * f->inverse[1];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_1 * p_1[j];
-    }
-    c_0 = (w_0 - iiwa_position_f32_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j];
     }
 }
 
@@ -998,7 +1047,7 @@ static void iiwa_position_f32_normal_apply(const iiwa_position_f32_normal *f, co
 }
 
 /* r = z - B t. */
-static void iiwa_position_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - iiwa_position_f32_inner(B, t);
     r[1] = z[1] - iiwa_position_f32_inner(B + 8, t);
@@ -1033,7 +1082,7 @@ static void iiwa_position_f32_apply(const iiwa_position_f32_factors *f, const fl
     }
 }
 
-static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info, int after_normal)
+static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info, int from)
 {
     iiwa_position_f32_factors f;
     float zs[3], ys[8], r[3], x[8], answer[7];
@@ -1043,7 +1092,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S
     if (iiwa_position_f32_largest(z, 3) >= UINT32_C(0x7f800000) || (y != NULL && iiwa_position_f32_largest(y, 7) >= UINT32_C(0x7f800000))) {
         return iiwa_position_f32_refuse(IIWA_POSITION_F32_NONFINITE, info);
     }
-    status = iiwa_position_f32_factorise(S, &f, after_normal);
+    status = iiwa_position_f32_factorise(S, &f, from);
     if (status < 0) {
         return iiwa_position_f32_refuse(status, info);
     }
@@ -1109,60 +1158,119 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S
     return status;
 }
 
-static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, const float *z, const float *y, const float *tau, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, iiwa_position_f32_info *info)
 {
     iiwa_position_f32_factors f;
     (void)iiwa_position_f32_consistent(S, z, y, tau, &info->residual);
-    f.path = IIWA_POSITION_F32_PATH_NORMAL;
+    f.path = path;
     info->status = IIWA_POSITION_F32_OK;
-    info->path = IIWA_POSITION_F32_PATH_NORMAL;
+    info->path = path;
     info->rank = 3;
     info->sweeps = 0;
     info->sigma_min = iiwa_position_f32_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int iiwa_position_f32_solve_core(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_step(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
-    iiwa_position_f32_normal f;
+    if (qr != NULL) {
+        iiwa_position_f32_qr_apply(qr, r, x, careful);
+    } else {
+        iiwa_position_f32_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *S, const float *B,
+    const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+{
     float r[3], x[8], step[8];
-    int held, j;
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 3; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        iiwa_position_f32_spread(y, 1.0f, step);
+        iiwa_position_f32_residual(B, z, step, r);
+    }
+    iiwa_position_f32_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 8; ++j) {
+            x[j] += step[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    iiwa_position_f32_residual(B, z, x, r);
+    iiwa_position_f32_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 8; ++j) {
+        x[j] += step[j];
+    }
+    if (!iiwa_position_f32_within(iiwa_position_f32_inner(x, x), 27, 237)) {
+        return 0;
+    }
+    if (info != NULL) {
+        float answer[7];
+        iiwa_position_f32_gather(x, answer);
+        iiwa_position_f32_report(S, z, y, answer, qr != NULL ? IIWA_POSITION_F32_PATH_QR : IIWA_POSITION_F32_PATH_NORMAL, info);
+    }
+    iiwa_position_f32_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int iiwa_position_f32_qr_scaled(const float *B, iiwa_position_f32_qr *f)
+{
+    uint32_t exponent[3];
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        f->left[i] = iiwa_position_f32_inner(B + 8 * i, B + 8 * i);
+        exponent[i] = (iiwa_position_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+    }
+    for (i = 0; i < 3; ++i) {
+        const float unit = iiwa_position_f32_power(127 - (int)exponent[i]);
+        for (j = 0; j < 8; ++j) {
+            f->line[i].p[j] = unit * B[8 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    iiwa_position_f32_qr_reduce(f);
+    return iiwa_position_f32_qr_certified(f);
+}
+
+static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+{
+    iiwa_position_f32_qr f;
     float B[24];
     iiwa_position_f32_spread(S, 1.0f, B);
     iiwa_position_f32_spread(S + 7, 1.0f, B + 8);
     iiwa_position_f32_spread(S + 14, 1.0f, B + 16);
-    held = iiwa_position_f32_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            iiwa_position_f32_normal_apply(&f, B, z, x);
-        } else {
-            float given[8];
-            iiwa_position_f32_spread(y, 1.0f, given);
-            iiwa_position_f32_residual(B, z, given, r);
-            iiwa_position_f32_normal_apply(&f, B, r, x);
-            for (j = 0; j < 8; ++j) {
-                x[j] += given[j];
-            }
-        }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        iiwa_position_f32_residual(B, z, x, r);
-        iiwa_position_f32_normal_apply(&f, B, r, step);
-        for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
-        }
-        if (iiwa_position_f32_within(iiwa_position_f32_inner(x, x), 27, 237)) {
-            if (info != NULL) {
-                float answer[7];
-                iiwa_position_f32_gather(x, answer);
-                iiwa_position_f32_report(S, z, y, answer, info);
-            }
-            iiwa_position_f32_gather(x, tau);
-            return IIWA_POSITION_F32_OK;
-        }
-        held = -1;
+
+    if (iiwa_position_f32_qr_scaled(B, &f) && iiwa_position_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return IIWA_POSITION_F32_OK;
     }
-    return iiwa_position_f32_solve_scaled(S, z, y, tau, info, held == 0);
+    return iiwa_position_f32_solve_scaled(S, z, y, tau, info, IIWA_POSITION_F32_PATH_QR);
+}
+
+static int iiwa_position_f32_solve_core(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+{
+    iiwa_position_f32_normal f;
+    int held;
+    float B[24];
+    iiwa_position_f32_spread(S, 1.0f, B);
+    iiwa_position_f32_spread(S + 7, 1.0f, B + 8);
+    iiwa_position_f32_spread(S + 14, 1.0f, B + 16);
+
+    held = iiwa_position_f32_normal_factor(B, &f);
+    if (held == 1 && iiwa_position_f32_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return IIWA_POSITION_F32_OK;
+    }
+    if (held == 0) {
+        return iiwa_position_f32_solve_qr(S, z, y, tau, info);
+    }
+    return iiwa_position_f32_solve_scaled(S, z, y, tau, info, IIWA_POSITION_F32_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1171,7 +1279,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_pinv_core(const float *S, f
     iiwa_position_f32_factors f;
     float unit[3], x[8], answer[21];
     int status, i, j;
-    status = iiwa_position_f32_factorise(S, &f, 1);
+    status = iiwa_position_f32_factorise(S, &f, IIWA_POSITION_F32_PATH_QR);
     if (status < 0) {
         return iiwa_position_f32_refuse(status, info);
     }

@@ -18,7 +18,7 @@ enum {
     IIWA_POSITION_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     IIWA_POSITION_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     IIWA_POSITION_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    IIWA_POSITION_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    IIWA_POSITION_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     IIWA_POSITION_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     IIWA_POSITION_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -76,19 +76,19 @@ int iiwa_position_psi(const iiwa_position_model *model, const iiwa_position_inpu
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [3*7].
    Cost: 646 operations (362 mul, 146 sub, 121 add, 6 cos, 6 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_position_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S);
 
 /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [3*1].
    Cost: 1058 operations (587 mul, 252 sub, 202 add, 6 cos, 6 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_position_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z);
 
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [3*7]; z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [3*1].
    Cost: 1085 operations (602 mul, 258 sub, 208 add, 6 cos, 6 sin, 5 div).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [7*3] of any S [3*7]; info may be NULL.
@@ -96,7 +96,7 @@ int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_inpu
 int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info);
 
 /* tau = S+ z, Eq. (10), [7]; info may be NULL.
-   Cost: 1085 operations (602 mul, 258 sub, 208 add, 6 cos, 6 sin, 5 div), and the solver: 355 operations (normal equations), at most 3106 (SVD, at most 7 sweeps).
+   Cost: 1085 operations (602 mul, 258 sub, 208 add, 6 cos, 6 sin, 5 div), and the solver: 355 operations (normal equations), at most 3211 (SVD, at most 7 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau, iiwa_position_info *info);
 

@@ -18,7 +18,7 @@ enum {
     PLANAR_ARM_3R_DAMPED_F32_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     PLANAR_ARM_3R_DAMPED_F32_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     PLANAR_ARM_3R_DAMPED_F32_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    PLANAR_ARM_3R_DAMPED_F32_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    PLANAR_ARM_3R_DAMPED_F32_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     PLANAR_ARM_3R_DAMPED_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     PLANAR_ARM_3R_DAMPED_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -91,19 +91,19 @@ int planar_arm_3r_damped_f32_psi(const planar_arm_3r_damped_f32_model *model, co
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [2*3].
    Cost: 120 operations (61 mul, 36 add, 14 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int planar_arm_3r_damped_f32_S(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *S);
 
 /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [2*1].
    Cost: 253 operations (133 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int planar_arm_3r_damped_f32_z(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *z);
 
 /* S = psi_q C Q^-1 G, Eqs. (8), (12), [2*3]; z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12), [2*1].
    Cost: 253 operations (133 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (Q is singular). */
+   finite), SINGULAR_MASS (as above). */
 int planar_arm_3r_damped_f32_S_z(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [3*2] of any S [2*3]; info may be NULL.
@@ -111,7 +111,7 @@ int planar_arm_3r_damped_f32_S_z(const planar_arm_3r_damped_f32_model *model, co
 int planar_arm_3r_damped_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_damped_f32_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [3], y as in the scene; info may be NULL.
-   Cost: 256 operations (136 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 493 (SVD, at most 5 sweeps).
+   Cost: 256 operations (136 mul, 78 add, 33 sub, 3 cos, 3 div, 3 sin), and the solver: 96 operations (normal equations), at most 475 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int planar_arm_3r_damped_f32_control(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *tau, planar_arm_3r_damped_f32_info *info);
 

@@ -320,13 +320,28 @@ static double planar_arm_3r_damped_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t planar_arm_3r_damped_biased(double x)
+{
+    planar_arm_3r_damped_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int planar_arm_3r_damped_within(double x, uint64_t low, uint64_t high)
 {
-    return (planar_arm_3r_damped_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return planar_arm_3r_damped_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void planar_arm_3r_damped_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define PLANAR_ARM_3R_DAMPED_NEAR inline __attribute__((always_inline))
+#else
+#define PLANAR_ARM_3R_DAMPED_NEAR
+#endif
+
+static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -335,7 +350,7 @@ static void planar_arm_3r_damped_spread(const double *restrict v, double factor,
 }
 
 /* The inverse of spreading, without a factor. */
-static void planar_arm_3r_damped_gather(const double *restrict w, double *restrict v)
+static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_gather(const double *restrict w, double *restrict v)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -343,7 +358,7 @@ static void planar_arm_3r_damped_gather(const double *restrict w, double *restri
     }
 }
 
-static double planar_arm_3r_damped_inner(const double *a, const double *b)
+static PLANAR_ARM_3R_DAMPED_NEAR double planar_arm_3r_damped_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -405,20 +420,27 @@ static void planar_arm_3r_damped_normal_solve(const planar_arm_3r_damped_normal 
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[6];
-    double L[4];
-    double square[2];  /* squared length of the k-th pivot */
+    double p[3];
+    double l[2];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} planar_arm_3r_damped_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    planar_arm_3r_damped_line line[2];
+    planar_arm_3r_damped_line *at[2];
+    double left[2];    /* squared length of at[k]->p */
     double inverse[2]; /* its inverse */
-    int order[2];
+    double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_damped_qr;
 
 /* rest -= along pivot, its squared length. */
-static double planar_arm_3r_damped_take_out(double *restrict rest, const double *restrict pivot, double along)
+static PLANAR_ARM_3R_DAMPED_NEAR double planar_arm_3r_damped_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -427,50 +449,65 @@ static double planar_arm_3r_damped_take_out(double *restrict rest, const double 
     return planar_arm_3r_damped_inner(rest, rest);
 }
 
-static void planar_arm_3r_damped_qr_factor(const double *B, planar_arm_3r_damped_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void planar_arm_3r_damped_qr_reduce(planar_arm_3r_damped_qr *f)
 {
-    double left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 6; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = planar_arm_3r_damped_inner(B + 3 * i, B + 3 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint64_t best = planar_arm_3r_damped_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = planar_arm_3r_damped_magnitude(f->left[k]);
+        planar_arm_3r_damped_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint64_t other = planar_arm_3r_damped_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = planar_arm_3r_damped_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 3 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 3 * row;
-            const double along = planar_arm_3r_damped_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = planar_arm_3r_damped_take_out(rest, pivot, along);
+            planar_arm_3r_damped_line *const rest = f->at[i];
+            rest->l[k] = planar_arm_3r_damped_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = planar_arm_3r_damped_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = planar_arm_3r_damped_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void planar_arm_3r_damped_qr_factor(const double *B, planar_arm_3r_damped_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = B[3 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = planar_arm_3r_damped_inner(f->line[i].p, f->line[i].p);
+    }
+    planar_arm_3r_damped_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above but
@@ -478,7 +515,7 @@ static void planar_arm_3r_damped_qr_factor(const double *B, planar_arm_3r_damped
 static int planar_arm_3r_damped_qr_certified(const planar_arm_3r_damped_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 2 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
     double total = f->total;
@@ -530,16 +567,16 @@ static int planar_arm_3r_damped_svd(const planar_arm_3r_damped_qr *f, double *le
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = planar_arm_3r_damped_sqrt(f->square[k]);
+        const double length = planar_arm_3r_damped_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0;
     }
     if (f->steps > 0) {
-        planar_arm_3r_damped_triangle(left, f->order[0], sigma);
+        planar_arm_3r_damped_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -676,6 +713,19 @@ static void planar_arm_3r_damped_scale(const double *S, const int *exponent, dou
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int planar_arm_3r_damped_length(const double *row, int exponent)
+{
+    double shifted[3];
+    double padded[3];
+    int j;
+    for (j = 0; j < 3; ++j) {
+        shifted[j] = planar_arm_3r_damped_shift(row[j], -exponent);
+    }
+    planar_arm_3r_damped_spread(shifted, 1.0, padded);
+    return exponent + planar_arm_3r_damped_exponent(planar_arm_3r_damped_magnitude(planar_arm_3r_damped_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int planar_arm_3r_damped_values(planar_arm_3r_damped_factors *f, double *u)
 {
@@ -746,8 +796,8 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_factorise_svd(const d
     return PLANAR_ARM_3R_DAMPED_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_factorise(const double *S, planar_arm_3r_damped_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_factorise(const double *S, planar_arm_3r_damped_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -761,7 +811,7 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_factorise(const doubl
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = planar_arm_3r_damped_exponent(word.bits);
+            f->exponent[i] = planar_arm_3r_damped_length(S + 3 * i, planar_arm_3r_damped_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -775,11 +825,11 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_factorise(const doubl
         int known = 1;
         f->rank = 2;
         f->path = PLANAR_ARM_3R_DAMPED_PATH_NORMAL;
-        if (after_normal || planar_arm_3r_damped_normal_factor(f->B, &f->normal) != 1) {
+        if (from > PLANAR_ARM_3R_DAMPED_PATH_NORMAL || planar_arm_3r_damped_normal_factor(f->B, &f->normal) != 1) {
             f->path = PLANAR_ARM_3R_DAMPED_PATH_QR;
             f->direct = 1;
             planar_arm_3r_damped_qr_factor(f->B, &f->qr);
-            known = planar_arm_3r_damped_qr_certified(&f->qr);
+            known = from <= PLANAR_ARM_3R_DAMPED_PATH_QR && planar_arm_3r_damped_qr_certified(&f->qr);
         }
         if (known) {
             return PLANAR_ARM_3R_DAMPED_OK;
@@ -888,30 +938,22 @@ static int planar_arm_3r_damped_consistent(const double *S, const double *z, con
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_damped_qr_apply(const planar_arm_3r_damped_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 3 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 2 * f->order[1];
-    const double *const p_1 = f->P + 3 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const planar_arm_3r_damped_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const planar_arm_3r_damped_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 3; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 3; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - planar_arm_3r_damped_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -927,7 +969,7 @@ static void planar_arm_3r_damped_normal_apply(const planar_arm_3r_damped_normal 
 }
 
 /* r = z - B t. */
-static void planar_arm_3r_damped_residual(const double *B, const double *z, const double *t, double *restrict r)
+static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_residual(const double *B, const double *z, const double *t, double *restrict r)
 {
     r[0] = z[0] - planar_arm_3r_damped_inner(B, t);
     r[1] = z[1] - planar_arm_3r_damped_inner(B + 3, t);
@@ -961,7 +1003,7 @@ static void planar_arm_3r_damped_apply(const planar_arm_3r_damped_factors *f, co
     }
 }
 
-static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_solve_scaled(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info, int after_normal)
+static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_solve_scaled(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info, int from)
 {
     planar_arm_3r_damped_factors f;
     double zs[2], ys[3], r[2], x[3], answer[3];
@@ -971,7 +1013,7 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_solve_scaled(const do
     if (planar_arm_3r_damped_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && planar_arm_3r_damped_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
         return planar_arm_3r_damped_refuse(PLANAR_ARM_3R_DAMPED_NONFINITE, info);
     }
-    status = planar_arm_3r_damped_factorise(S, &f, after_normal);
+    status = planar_arm_3r_damped_factorise(S, &f, from);
     if (status < 0) {
         return planar_arm_3r_damped_refuse(status, info);
     }
@@ -1034,57 +1076,113 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_solve_scaled(const do
     return status;
 }
 
-static PLANAR_ARM_3R_DAMPED_APART void planar_arm_3r_damped_report(const double *S, const double *z, const double *y, const double *tau, planar_arm_3r_damped_info *info)
+static PLANAR_ARM_3R_DAMPED_APART void planar_arm_3r_damped_report(const double *S, const double *z, const double *y, const double *tau, int path, planar_arm_3r_damped_info *info)
 {
     planar_arm_3r_damped_factors f;
     (void)planar_arm_3r_damped_consistent(S, z, y, tau, &info->residual);
-    f.path = PLANAR_ARM_3R_DAMPED_PATH_NORMAL;
+    f.path = path;
     info->status = PLANAR_ARM_3R_DAMPED_OK;
-    info->path = PLANAR_ARM_3R_DAMPED_PATH_NORMAL;
+    info->path = path;
     info->rank = 2;
     info->sweeps = 0;
     info->sigma_min = planar_arm_3r_damped_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int planar_arm_3r_damped_solve_core(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_step(const planar_arm_3r_damped_normal *normal, const planar_arm_3r_damped_qr *qr, const double *B, const double *r, double *x, int careful)
 {
-    planar_arm_3r_damped_normal f;
+    if (qr != NULL) {
+        planar_arm_3r_damped_qr_apply(qr, r, x, careful);
+    } else {
+        planar_arm_3r_damped_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static PLANAR_ARM_3R_DAMPED_NEAR int planar_arm_3r_damped_answer(const planar_arm_3r_damped_normal *normal, const planar_arm_3r_damped_qr *qr, const double *S, const double *B,
+    const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info)
+{
     double r[2], x[3], step[3];
-    int held, j;
-    const double *const B = S;
-    held = planar_arm_3r_damped_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            planar_arm_3r_damped_normal_apply(&f, B, z, x);
-        } else {
-            double given[3];
-            planar_arm_3r_damped_spread(y, 1.0, given);
-            planar_arm_3r_damped_residual(B, z, given, r);
-            planar_arm_3r_damped_normal_apply(&f, B, r, x);
-            for (j = 0; j < 3; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        planar_arm_3r_damped_residual(B, z, x, r);
-        planar_arm_3r_damped_normal_apply(&f, B, r, step);
+    } else {
+        planar_arm_3r_damped_spread(y, 1.0, step);
+        planar_arm_3r_damped_residual(B, z, step, r);
+    }
+    planar_arm_3r_damped_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
         }
-        if (planar_arm_3r_damped_within(planar_arm_3r_damped_inner(x, x), 23, 1923)) {
-            if (info != NULL) {
-                double answer[3];
-                planar_arm_3r_damped_gather(x, answer);
-                planar_arm_3r_damped_report(S, z, y, answer, info);
-            }
-            planar_arm_3r_damped_gather(x, tau);
-            return PLANAR_ARM_3R_DAMPED_OK;
-        }
-        held = -1;
     }
-    return planar_arm_3r_damped_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    planar_arm_3r_damped_residual(B, z, x, r);
+    planar_arm_3r_damped_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 3; ++j) {
+        x[j] += step[j];
+    }
+    if (!planar_arm_3r_damped_within(planar_arm_3r_damped_inner(x, x), 23, 1923)) {
+        return 0;
+    }
+    if (info != NULL) {
+        double answer[3];
+        planar_arm_3r_damped_gather(x, answer);
+        planar_arm_3r_damped_report(S, z, y, answer, qr != NULL ? PLANAR_ARM_3R_DAMPED_PATH_QR : PLANAR_ARM_3R_DAMPED_PATH_NORMAL, info);
+    }
+    planar_arm_3r_damped_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int planar_arm_3r_damped_qr_scaled(const double *B, planar_arm_3r_damped_qr *f)
+{
+    uint64_t exponent[2];
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        f->left[i] = planar_arm_3r_damped_inner(B + 3 * i, B + 3 * i);
+        exponent[i] = (planar_arm_3r_damped_biased(f->left[i]) + 1023) / 2; /* of the length */
+    }
+    for (i = 0; i < 2; ++i) {
+        const double unit = planar_arm_3r_damped_power(1023 - (int)exponent[i]);
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = unit * B[3 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    planar_arm_3r_damped_qr_reduce(f);
+    return planar_arm_3r_damped_qr_certified(f);
+}
+
+static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_solve_qr(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info)
+{
+    planar_arm_3r_damped_qr f;
+    const double *const B = S;
+
+    if (planar_arm_3r_damped_qr_scaled(B, &f) && planar_arm_3r_damped_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return PLANAR_ARM_3R_DAMPED_OK;
+    }
+    return planar_arm_3r_damped_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_DAMPED_PATH_QR);
+}
+
+static int planar_arm_3r_damped_solve_core(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_damped_info *info)
+{
+    planar_arm_3r_damped_normal f;
+    int held;
+    const double *const B = S;
+
+    held = planar_arm_3r_damped_normal_factor(B, &f);
+    if (held == 1 && planar_arm_3r_damped_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return PLANAR_ARM_3R_DAMPED_OK;
+    }
+    if (held == 0) {
+        return planar_arm_3r_damped_solve_qr(S, z, y, tau, info);
+    }
+    return planar_arm_3r_damped_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_DAMPED_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1093,7 +1191,7 @@ static PLANAR_ARM_3R_DAMPED_APART int planar_arm_3r_damped_pinv_core(const doubl
     planar_arm_3r_damped_factors f;
     double unit[2], x[3], answer[6];
     int status, i, j;
-    status = planar_arm_3r_damped_factorise(S, &f, 1);
+    status = planar_arm_3r_damped_factorise(S, &f, PLANAR_ARM_3R_DAMPED_PATH_QR);
     if (status < 0) {
         return planar_arm_3r_damped_refuse(status, info);
     }

@@ -286,13 +286,28 @@ static float planar_arm_3r_weighted_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t planar_arm_3r_weighted_f32_biased(float x)
+{
+    planar_arm_3r_weighted_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int planar_arm_3r_weighted_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (planar_arm_3r_weighted_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return planar_arm_3r_weighted_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void planar_arm_3r_weighted_f32_spread(const float *restrict v, float factor, float *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR inline __attribute__((always_inline))
+#else
+#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
+#endif
+
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -301,7 +316,7 @@ static void planar_arm_3r_weighted_f32_spread(const float *restrict v, float fac
 }
 
 /* The inverse of spreading, without a factor. */
-static void planar_arm_3r_weighted_f32_gather(const float *restrict w, float *restrict v)
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -309,7 +324,7 @@ static void planar_arm_3r_weighted_f32_gather(const float *restrict w, float *re
     }
 }
 
-static float planar_arm_3r_weighted_f32_inner(const float *a, const float *b)
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR float planar_arm_3r_weighted_f32_inner(const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -371,20 +386,27 @@ static void planar_arm_3r_weighted_f32_normal_solve(const planar_arm_3r_weighted
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    float P[6];
-    float L[4];
-    float square[2];  /* squared length of the k-th pivot */
+    float p[3];
+    float l[2];
+    float unit; /* a power of two: p began as unit times the row */
+    int row;
+} planar_arm_3r_weighted_f32_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    planar_arm_3r_weighted_f32_line line[2];
+    planar_arm_3r_weighted_f32_line *at[2];
+    float left[2];    /* squared length of at[k]->p */
     float inverse[2]; /* its inverse */
-    int order[2];
+    float cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_weighted_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static float planar_arm_3r_weighted_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR float planar_arm_3r_weighted_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -393,50 +415,65 @@ static float planar_arm_3r_weighted_f32_take_out(float *restrict rest, const flo
     return planar_arm_3r_weighted_f32_inner(rest, rest);
 }
 
-static void planar_arm_3r_weighted_f32_qr_factor(const float *B, planar_arm_3r_weighted_f32_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void planar_arm_3r_weighted_f32_qr_reduce(planar_arm_3r_weighted_f32_qr *f)
 {
-    float left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 6; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = planar_arm_3r_weighted_f32_inner(B + 3 * i, B + 3 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint32_t best = planar_arm_3r_weighted_f32_magnitude(left[f->order[k]]);
-        const float *pivot;
-        float square, inverse;
-        int at = k;
+        uint32_t best = planar_arm_3r_weighted_f32_magnitude(f->left[k]);
+        planar_arm_3r_weighted_f32_line *pivot;
+        float square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint32_t other = planar_arm_3r_weighted_f32_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint32_t other = planar_arm_3r_weighted_f32_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 3 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0f;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0f;
         if (!(square >= 7.70372e-34f)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0f / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0f / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            float *const rest = f->P + 3 * row;
-            const float along = planar_arm_3r_weighted_f32_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = planar_arm_3r_weighted_f32_take_out(rest, pivot, along);
+            planar_arm_3r_weighted_f32_line *const rest = f->at[i];
+            rest->l[k] = planar_arm_3r_weighted_f32_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = planar_arm_3r_weighted_f32_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = planar_arm_3r_weighted_f32_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void planar_arm_3r_weighted_f32_qr_factor(const float *B, planar_arm_3r_weighted_f32_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = B[3 * i + j];
+        }
+        f->line[i].unit = 1.0f;
+        f->line[i].row = i;
+        f->left[i] = planar_arm_3r_weighted_f32_inner(f->line[i].p, f->line[i].p);
+    }
+    planar_arm_3r_weighted_f32_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above but
@@ -444,7 +481,7 @@ static void planar_arm_3r_weighted_f32_qr_factor(const float *B, planar_arm_3r_w
 static int planar_arm_3r_weighted_f32_qr_certified(const planar_arm_3r_weighted_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const float *const row_1 = f->L + 2 * f->order[1];
+    const float *const row_1 = f->at[1]->l;
     float n_1_0;
     float bound;
     float total = f->total;
@@ -496,16 +533,16 @@ static int planar_arm_3r_weighted_f32_svd(const planar_arm_3r_weighted_f32_qr *f
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = planar_arm_3r_weighted_f32_sqrt(f->square[k]);
+        const float length = planar_arm_3r_weighted_f32_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0f;
     }
     if (f->steps > 0) {
-        planar_arm_3r_weighted_f32_triangle(left, f->order[0], sigma);
+        planar_arm_3r_weighted_f32_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -642,6 +679,19 @@ static void planar_arm_3r_weighted_f32_scale(const float *S, const int *exponent
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int planar_arm_3r_weighted_f32_length(const float *row, int exponent)
+{
+    float shifted[3];
+    float padded[3];
+    int j;
+    for (j = 0; j < 3; ++j) {
+        shifted[j] = planar_arm_3r_weighted_f32_shift(row[j], -exponent);
+    }
+    planar_arm_3r_weighted_f32_spread(shifted, 1.0f, padded);
+    return exponent + planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_magnitude(planar_arm_3r_weighted_f32_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int planar_arm_3r_weighted_f32_values(planar_arm_3r_weighted_f32_factors *f, float *u)
 {
@@ -712,8 +762,8 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise(const float *S, planar_arm_3r_weighted_f32_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise(const float *S, planar_arm_3r_weighted_f32_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -727,7 +777,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0f) {
-            f->exponent[i] = planar_arm_3r_weighted_f32_exponent(word.bits);
+            f->exponent[i] = planar_arm_3r_weighted_f32_length(S + 3 * i, planar_arm_3r_weighted_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -741,11 +791,11 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
         int known = 1;
         f->rank = 2;
         f->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL;
-        if (after_normal || planar_arm_3r_weighted_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL || planar_arm_3r_weighted_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR;
             f->direct = 1;
             planar_arm_3r_weighted_f32_qr_factor(f->B, &f->qr);
-            known = planar_arm_3r_weighted_f32_qr_certified(&f->qr);
+            known = from <= PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR && planar_arm_3r_weighted_f32_qr_certified(&f->qr);
         }
         if (known) {
             return PLANAR_ARM_3R_WEIGHTED_F32_OK;
@@ -854,30 +904,22 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    const float *const p_0 = f->P + 3 * f->order[0];
-    const float w_0 = r[f->order[0]];
-    const float *const row_1 = f->L + 2 * f->order[1];
-    const float *const p_1 = f->P + 3 * f->order[1];
-    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const planar_arm_3r_weighted_f32_line *const p_0 = f->at[0];
+    const float w_0 = p_0->unit * r[p_0->row];
+    const planar_arm_3r_weighted_f32_line *const p_1 = f->at[1];
+    const float w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 3; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 3; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - planar_arm_3r_weighted_f32_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -893,7 +935,7 @@ static void planar_arm_3r_weighted_f32_normal_apply(const planar_arm_3r_weighted
 }
 
 /* r = z - B t. */
-static void planar_arm_3r_weighted_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - planar_arm_3r_weighted_f32_inner(B, t);
     r[1] = z[1] - planar_arm_3r_weighted_f32_inner(B + 3, t);
@@ -927,7 +969,7 @@ static void planar_arm_3r_weighted_f32_apply(const planar_arm_3r_weighted_f32_fa
     }
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info, int after_normal)
+static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info, int from)
 {
     planar_arm_3r_weighted_f32_factors f;
     float zs[2], ys[3], r[2], x[3], answer[3];
@@ -937,7 +979,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_sca
     if (planar_arm_3r_weighted_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && planar_arm_3r_weighted_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
         return planar_arm_3r_weighted_f32_refuse(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, info);
     }
-    status = planar_arm_3r_weighted_f32_factorise(S, &f, after_normal);
+    status = planar_arm_3r_weighted_f32_factorise(S, &f, from);
     if (status < 0) {
         return planar_arm_3r_weighted_f32_refuse(status, info);
     }
@@ -1000,57 +1042,113 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_sca
     return status;
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_APART void planar_arm_3r_weighted_f32_report(const float *S, const float *z, const float *y, const float *tau, planar_arm_3r_weighted_f32_info *info)
+static PLANAR_ARM_3R_WEIGHTED_F32_APART void planar_arm_3r_weighted_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, planar_arm_3r_weighted_f32_info *info)
 {
     planar_arm_3r_weighted_f32_factors f;
     (void)planar_arm_3r_weighted_f32_consistent(S, z, y, tau, &info->residual);
-    f.path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL;
+    f.path = path;
     info->status = PLANAR_ARM_3R_WEIGHTED_F32_OK;
-    info->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL;
+    info->path = path;
     info->rank = 2;
     info->sweeps = 0;
     info->sigma_min = planar_arm_3r_weighted_f32_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int planar_arm_3r_weighted_f32_solve_core(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_step(const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
-    planar_arm_3r_weighted_f32_normal f;
+    if (qr != NULL) {
+        planar_arm_3r_weighted_f32_qr_apply(qr, r, x, careful);
+    } else {
+        planar_arm_3r_weighted_f32_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static PLANAR_ARM_3R_WEIGHTED_F32_NEAR int planar_arm_3r_weighted_f32_answer(const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *S, const float *B,
+    const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+{
     float r[2], x[3], step[3];
-    int held, j;
-    const float *const B = S;
-    held = planar_arm_3r_weighted_f32_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            planar_arm_3r_weighted_f32_normal_apply(&f, B, z, x);
-        } else {
-            float given[3];
-            planar_arm_3r_weighted_f32_spread(y, 1.0f, given);
-            planar_arm_3r_weighted_f32_residual(B, z, given, r);
-            planar_arm_3r_weighted_f32_normal_apply(&f, B, r, x);
-            for (j = 0; j < 3; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        planar_arm_3r_weighted_f32_residual(B, z, x, r);
-        planar_arm_3r_weighted_f32_normal_apply(&f, B, r, step);
+    } else {
+        planar_arm_3r_weighted_f32_spread(y, 1.0f, step);
+        planar_arm_3r_weighted_f32_residual(B, z, step, r);
+    }
+    planar_arm_3r_weighted_f32_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
         }
-        if (planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_inner(x, x), 27, 237)) {
-            if (info != NULL) {
-                float answer[3];
-                planar_arm_3r_weighted_f32_gather(x, answer);
-                planar_arm_3r_weighted_f32_report(S, z, y, answer, info);
-            }
-            planar_arm_3r_weighted_f32_gather(x, tau);
-            return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-        }
-        held = -1;
     }
-    return planar_arm_3r_weighted_f32_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    planar_arm_3r_weighted_f32_residual(B, z, x, r);
+    planar_arm_3r_weighted_f32_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 3; ++j) {
+        x[j] += step[j];
+    }
+    if (!planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_inner(x, x), 27, 237)) {
+        return 0;
+    }
+    if (info != NULL) {
+        float answer[3];
+        planar_arm_3r_weighted_f32_gather(x, answer);
+        planar_arm_3r_weighted_f32_report(S, z, y, answer, qr != NULL ? PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR : PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL, info);
+    }
+    planar_arm_3r_weighted_f32_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int planar_arm_3r_weighted_f32_qr_scaled(const float *B, planar_arm_3r_weighted_f32_qr *f)
+{
+    uint32_t exponent[2];
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        f->left[i] = planar_arm_3r_weighted_f32_inner(B + 3 * i, B + 3 * i);
+        exponent[i] = (planar_arm_3r_weighted_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+    }
+    for (i = 0; i < 2; ++i) {
+        const float unit = planar_arm_3r_weighted_f32_power(127 - (int)exponent[i]);
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = unit * B[3 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    planar_arm_3r_weighted_f32_qr_reduce(f);
+    return planar_arm_3r_weighted_f32_qr_certified(f);
+}
+
+static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+{
+    planar_arm_3r_weighted_f32_qr f;
+    const float *const B = S;
+
+    if (planar_arm_3r_weighted_f32_qr_scaled(B, &f) && planar_arm_3r_weighted_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return PLANAR_ARM_3R_WEIGHTED_F32_OK;
+    }
+    return planar_arm_3r_weighted_f32_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR);
+}
+
+static int planar_arm_3r_weighted_f32_solve_core(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+{
+    planar_arm_3r_weighted_f32_normal f;
+    int held;
+    const float *const B = S;
+
+    held = planar_arm_3r_weighted_f32_normal_factor(B, &f);
+    if (held == 1 && planar_arm_3r_weighted_f32_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return PLANAR_ARM_3R_WEIGHTED_F32_OK;
+    }
+    if (held == 0) {
+        return planar_arm_3r_weighted_f32_solve_qr(S, z, y, tau, info);
+    }
+    return planar_arm_3r_weighted_f32_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1059,7 +1157,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_pinv_core
     planar_arm_3r_weighted_f32_factors f;
     float unit[2], x[3], answer[6];
     int status, i, j;
-    status = planar_arm_3r_weighted_f32_factorise(S, &f, 1);
+    status = planar_arm_3r_weighted_f32_factorise(S, &f, PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR);
     if (status < 0) {
         return planar_arm_3r_weighted_f32_refuse(status, info);
     }

@@ -150,13 +150,28 @@ static float quaternion_pointing_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t quaternion_pointing_f32_biased(float x)
+{
+    quaternion_pointing_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int quaternion_pointing_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (quaternion_pointing_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return quaternion_pointing_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void quaternion_pointing_f32_spread(const float *restrict v, float factor, float *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define QUATERNION_POINTING_F32_NEAR inline __attribute__((always_inline))
+#else
+#define QUATERNION_POINTING_F32_NEAR
+#endif
+
+static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -165,7 +180,7 @@ static void quaternion_pointing_f32_spread(const float *restrict v, float factor
 }
 
 /* The inverse of spreading, without a factor. */
-static void quaternion_pointing_f32_gather(const float *restrict w, float *restrict v)
+static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -173,7 +188,7 @@ static void quaternion_pointing_f32_gather(const float *restrict w, float *restr
     }
 }
 
-static float quaternion_pointing_f32_inner(const float *a, const float *b)
+static QUATERNION_POINTING_F32_NEAR float quaternion_pointing_f32_inner(const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -258,20 +273,27 @@ static void quaternion_pointing_f32_normal_solve(const quaternion_pointing_f32_n
     w[2] = b_2;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    float P[9];
-    float L[9];
-    float square[3];  /* squared length of the k-th pivot */
+    float p[3];
+    float l[3];
+    float unit; /* a power of two: p began as unit times the row */
+    int row;
+} quaternion_pointing_f32_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    quaternion_pointing_f32_line line[3];
+    quaternion_pointing_f32_line *at[3];
+    float left[3];    /* squared length of at[k]->p */
     float inverse[3]; /* its inverse */
-    int order[3];
+    float cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } quaternion_pointing_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static float quaternion_pointing_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static QUATERNION_POINTING_F32_NEAR float quaternion_pointing_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -280,50 +302,65 @@ static float quaternion_pointing_f32_take_out(float *restrict rest, const float 
     return quaternion_pointing_f32_inner(rest, rest);
 }
 
-static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointing_f32_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void quaternion_pointing_f32_qr_reduce(quaternion_pointing_f32_qr *f)
 {
-    float left[3]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 9; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 3; ++i) {
-        left[i] = quaternion_pointing_f32_inner(B + 3 * i, B + 3 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 3; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 3; ++k) {
-        uint32_t best = quaternion_pointing_f32_magnitude(left[f->order[k]]);
-        const float *pivot;
-        float square, inverse;
-        int at = k;
+        uint32_t best = quaternion_pointing_f32_magnitude(f->left[k]);
+        quaternion_pointing_f32_line *pivot;
+        float square;
+        int top = k;
         for (i = k + 1; i < 3; ++i) {
-            const uint32_t other = quaternion_pointing_f32_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint32_t other = quaternion_pointing_f32_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 3 * i;
-        square = left[i];
-        f->L[3 * i + k] = 1.0f;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0f;
         if (!(square >= 7.70372e-34f)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0f / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0f / square;
         for (i = k + 1; i < 3; ++i) {
-            const int row = f->order[i];
-            float *const rest = f->P + 3 * row;
-            const float along = quaternion_pointing_f32_inner(pivot, rest) * inverse;
-            f->L[3 * row + k] = along;
-            left[row] = quaternion_pointing_f32_take_out(rest, pivot, along);
+            quaternion_pointing_f32_line *const rest = f->at[i];
+            rest->l[k] = quaternion_pointing_f32_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = quaternion_pointing_f32_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 3; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = quaternion_pointing_f32_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointing_f32_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = B[3 * i + j];
+        }
+        f->line[i].unit = 1.0f;
+        f->line[i].row = i;
+        f->left[i] = quaternion_pointing_f32_inner(f->line[i].p, f->line[i].p);
+    }
+    quaternion_pointing_f32_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above but
@@ -331,9 +368,9 @@ static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointin
 static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const float *const row_1 = f->L + 3 * f->order[1];
+    const float *const row_1 = f->at[1]->l;
     float n_1_0;
-    const float *const row_2 = f->L + 3 * f->order[2];
+    const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
     float total = f->total;
@@ -443,9 +480,9 @@ static int quaternion_pointing_f32_svd(const quaternion_pointing_f32_qr *f, floa
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * quaternion_pointing_f32_sqrt(f->square[k]);
+        const float length = 1048576.0f * quaternion_pointing_f32_sqrt(f->left[k]);
         for (i = k; i < 3; ++i) {
-            left[3 * k + f->order[i]] = f->L[3 * f->order[i] + k] * length;
+            left[3 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 3; ++k) {
@@ -595,6 +632,19 @@ static void quaternion_pointing_f32_scale(const float *S, const int *exponent, f
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int quaternion_pointing_f32_length(const float *row, int exponent)
+{
+    float shifted[3];
+    float padded[3];
+    int j;
+    for (j = 0; j < 3; ++j) {
+        shifted[j] = quaternion_pointing_f32_shift(row[j], -exponent);
+    }
+    quaternion_pointing_f32_spread(shifted, 1.0f, padded);
+    return exponent + quaternion_pointing_f32_exponent(quaternion_pointing_f32_magnitude(quaternion_pointing_f32_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int quaternion_pointing_f32_values(quaternion_pointing_f32_factors *f, float *u)
 {
@@ -665,8 +715,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise_svd(c
     return QUATERNION_POINTING_F32_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const float *S, quaternion_pointing_f32_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const float *S, quaternion_pointing_f32_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -680,7 +730,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0f) {
-            f->exponent[i] = quaternion_pointing_f32_exponent(word.bits);
+            f->exponent[i] = quaternion_pointing_f32_length(S + 3 * i, quaternion_pointing_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -694,11 +744,11 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const
         int known = 1;
         f->rank = 3;
         f->path = QUATERNION_POINTING_F32_PATH_NORMAL;
-        if (after_normal || quaternion_pointing_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > QUATERNION_POINTING_F32_PATH_NORMAL || quaternion_pointing_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = QUATERNION_POINTING_F32_PATH_QR;
             f->direct = 1;
             quaternion_pointing_f32_qr_factor(f->B, &f->qr);
-            known = quaternion_pointing_f32_qr_certified(&f->qr);
+            known = from <= QUATERNION_POINTING_F32_PATH_QR && quaternion_pointing_f32_qr_certified(&f->qr);
         }
         if (known) {
             return QUATERNION_POINTING_F32_OK;
@@ -807,38 +857,26 @@ static int quaternion_pointing_f32_consistent(const float *S, const float *z, co
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void quaternion_pointing_f32_qr_apply(const quaternion_pointing_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    const float *const p_0 = f->P + 3 * f->order[0];
-    const float w_0 = r[f->order[0]];
-    const float *const row_1 = f->L + 3 * f->order[1];
-    const float *const p_1 = f->P + 3 * f->order[1];
-    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
-    const float *const row_2 = f->L + 3 * f->order[2];
-    const float *const p_2 = f->P + 3 * f->order[2];
-    const float w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    const quaternion_pointing_f32_line *const p_0 = f->at[0];
+    const float w_0 = p_0->unit * r[p_0->row];
+    const quaternion_pointing_f32_line *const p_1 = f->at[1];
+    const float w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
+    const quaternion_pointing_f32_line *const p_2 = f->at[2];
+    const float w_2 = p_2->unit * r[p_2->row] - p_2->l[0] * w_0 - p_2->l[1] * w_1;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     float c_2 = w_2 * f->inverse[2];
     int j;
-    if (!careful) {
-        for (j = 0; j < 3; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j];
-        }
-        return;
+    if (careful) {
+        c_1 = (w_1 - f->cross[2] * c_2) * f->inverse[1];
+        c_0 = (w_0 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 3; ++j) {
-        x[j] = c_2 * p_2[j];
-    }
-    c_1 = (w_1 - quaternion_pointing_f32_inner(p_1, x)) * f->inverse[1];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_1 * p_1[j];
-    }
-    c_0 = (w_0 - quaternion_pointing_f32_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j];
     }
 }
 
@@ -854,7 +892,7 @@ static void quaternion_pointing_f32_normal_apply(const quaternion_pointing_f32_n
 }
 
 /* r = z - B t. */
-static void quaternion_pointing_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - quaternion_pointing_f32_inner(B, t);
     r[1] = z[1] - quaternion_pointing_f32_inner(B + 3, t);
@@ -889,7 +927,7 @@ static void quaternion_pointing_f32_apply(const quaternion_pointing_f32_factors 
     }
 }
 
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info, int after_normal)
+static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info, int from)
 {
     quaternion_pointing_f32_factors f;
     float zs[3], ys[3], r[3], x[3], answer[3];
@@ -899,7 +937,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
     if (quaternion_pointing_f32_largest(z, 3) >= UINT32_C(0x7f800000) || (y != NULL && quaternion_pointing_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
         return quaternion_pointing_f32_refuse(QUATERNION_POINTING_F32_NONFINITE, info);
     }
-    status = quaternion_pointing_f32_factorise(S, &f, after_normal);
+    status = quaternion_pointing_f32_factorise(S, &f, from);
     if (status < 0) {
         return quaternion_pointing_f32_refuse(status, info);
     }
@@ -962,57 +1000,113 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
     return status;
 }
 
-static QUATERNION_POINTING_F32_APART void quaternion_pointing_f32_report(const float *S, const float *z, const float *y, const float *tau, quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_APART void quaternion_pointing_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, quaternion_pointing_f32_info *info)
 {
     quaternion_pointing_f32_factors f;
     (void)quaternion_pointing_f32_consistent(S, z, y, tau, &info->residual);
-    f.path = QUATERNION_POINTING_F32_PATH_NORMAL;
+    f.path = path;
     info->status = QUATERNION_POINTING_F32_OK;
-    info->path = QUATERNION_POINTING_F32_PATH_NORMAL;
+    info->path = path;
     info->rank = 3;
     info->sweeps = 0;
     info->sigma_min = quaternion_pointing_f32_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int quaternion_pointing_f32_solve_core(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_step(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
-    quaternion_pointing_f32_normal f;
+    if (qr != NULL) {
+        quaternion_pointing_f32_qr_apply(qr, r, x, careful);
+    } else {
+        quaternion_pointing_f32_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *S, const float *B,
+    const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+{
     float r[3], x[3], step[3];
-    int held, j;
-    const float *const B = S;
-    held = quaternion_pointing_f32_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            quaternion_pointing_f32_normal_apply(&f, B, z, x);
-        } else {
-            float given[3];
-            quaternion_pointing_f32_spread(y, 1.0f, given);
-            quaternion_pointing_f32_residual(B, z, given, r);
-            quaternion_pointing_f32_normal_apply(&f, B, r, x);
-            for (j = 0; j < 3; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 3; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        quaternion_pointing_f32_residual(B, z, x, r);
-        quaternion_pointing_f32_normal_apply(&f, B, r, step);
+    } else {
+        quaternion_pointing_f32_spread(y, 1.0f, step);
+        quaternion_pointing_f32_residual(B, z, step, r);
+    }
+    quaternion_pointing_f32_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
         }
-        if (quaternion_pointing_f32_within(quaternion_pointing_f32_inner(x, x), 27, 237)) {
-            if (info != NULL) {
-                float answer[3];
-                quaternion_pointing_f32_gather(x, answer);
-                quaternion_pointing_f32_report(S, z, y, answer, info);
-            }
-            quaternion_pointing_f32_gather(x, tau);
-            return QUATERNION_POINTING_F32_OK;
-        }
-        held = -1;
     }
-    return quaternion_pointing_f32_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    quaternion_pointing_f32_residual(B, z, x, r);
+    quaternion_pointing_f32_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 3; ++j) {
+        x[j] += step[j];
+    }
+    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_inner(x, x), 27, 237)) {
+        return 0;
+    }
+    if (info != NULL) {
+        float answer[3];
+        quaternion_pointing_f32_gather(x, answer);
+        quaternion_pointing_f32_report(S, z, y, answer, qr != NULL ? QUATERNION_POINTING_F32_PATH_QR : QUATERNION_POINTING_F32_PATH_NORMAL, info);
+    }
+    quaternion_pointing_f32_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int quaternion_pointing_f32_qr_scaled(const float *B, quaternion_pointing_f32_qr *f)
+{
+    uint32_t exponent[3];
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        f->left[i] = quaternion_pointing_f32_inner(B + 3 * i, B + 3 * i);
+        exponent[i] = (quaternion_pointing_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+    }
+    for (i = 0; i < 3; ++i) {
+        const float unit = quaternion_pointing_f32_power(127 - (int)exponent[i]);
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = unit * B[3 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    quaternion_pointing_f32_qr_reduce(f);
+    return quaternion_pointing_f32_qr_certified(f);
+}
+
+static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+{
+    quaternion_pointing_f32_qr f;
+    const float *const B = S;
+
+    if (quaternion_pointing_f32_qr_scaled(B, &f) && quaternion_pointing_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return QUATERNION_POINTING_F32_OK;
+    }
+    return quaternion_pointing_f32_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_F32_PATH_QR);
+}
+
+static int quaternion_pointing_f32_solve_core(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+{
+    quaternion_pointing_f32_normal f;
+    int held;
+    const float *const B = S;
+
+    held = quaternion_pointing_f32_normal_factor(B, &f);
+    if (held == 1 && quaternion_pointing_f32_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return QUATERNION_POINTING_F32_OK;
+    }
+    if (held == 0) {
+        return quaternion_pointing_f32_solve_qr(S, z, y, tau, info);
+    }
+    return quaternion_pointing_f32_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_F32_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1021,7 +1115,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_pinv_core(const
     quaternion_pointing_f32_factors f;
     float unit[3], x[3], answer[9];
     int status, i, j;
-    status = quaternion_pointing_f32_factorise(S, &f, 1);
+    status = quaternion_pointing_f32_factorise(S, &f, QUATERNION_POINTING_F32_PATH_QR);
     if (status < 0) {
         return quaternion_pointing_f32_refuse(status, info);
     }

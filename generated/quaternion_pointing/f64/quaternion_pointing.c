@@ -150,13 +150,28 @@ static double quaternion_pointing_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t quaternion_pointing_biased(double x)
+{
+    quaternion_pointing_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int quaternion_pointing_within(double x, uint64_t low, uint64_t high)
 {
-    return (quaternion_pointing_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return quaternion_pointing_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void quaternion_pointing_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define QUATERNION_POINTING_NEAR inline __attribute__((always_inline))
+#else
+#define QUATERNION_POINTING_NEAR
+#endif
+
+static QUATERNION_POINTING_NEAR void quaternion_pointing_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -165,7 +180,7 @@ static void quaternion_pointing_spread(const double *restrict v, double factor, 
 }
 
 /* The inverse of spreading, without a factor. */
-static void quaternion_pointing_gather(const double *restrict w, double *restrict v)
+static QUATERNION_POINTING_NEAR void quaternion_pointing_gather(const double *restrict w, double *restrict v)
 {
     int k;
     for (k = 0; k < 3; ++k) {
@@ -173,7 +188,7 @@ static void quaternion_pointing_gather(const double *restrict w, double *restric
     }
 }
 
-static double quaternion_pointing_inner(const double *a, const double *b)
+static QUATERNION_POINTING_NEAR double quaternion_pointing_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -258,20 +273,27 @@ static void quaternion_pointing_normal_solve(const quaternion_pointing_normal *f
     w[2] = b_2;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[9];
-    double L[9];
-    double square[3];  /* squared length of the k-th pivot */
+    double p[3];
+    double l[3];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} quaternion_pointing_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    quaternion_pointing_line line[3];
+    quaternion_pointing_line *at[3];
+    double left[3];    /* squared length of at[k]->p */
     double inverse[3]; /* its inverse */
-    int order[3];
+    double cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } quaternion_pointing_qr;
 
 /* rest -= along pivot, its squared length. */
-static double quaternion_pointing_take_out(double *restrict rest, const double *restrict pivot, double along)
+static QUATERNION_POINTING_NEAR double quaternion_pointing_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -280,50 +302,65 @@ static double quaternion_pointing_take_out(double *restrict rest, const double *
     return quaternion_pointing_inner(rest, rest);
 }
 
-static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void quaternion_pointing_qr_reduce(quaternion_pointing_qr *f)
 {
-    double left[3]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 9; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 3; ++i) {
-        left[i] = quaternion_pointing_inner(B + 3 * i, B + 3 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 3; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 3; ++k) {
-        uint64_t best = quaternion_pointing_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = quaternion_pointing_magnitude(f->left[k]);
+        quaternion_pointing_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 3; ++i) {
-            const uint64_t other = quaternion_pointing_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = quaternion_pointing_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 3 * i;
-        square = left[i];
-        f->L[3 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 3; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 3 * row;
-            const double along = quaternion_pointing_inner(pivot, rest) * inverse;
-            f->L[3 * row + k] = along;
-            left[row] = quaternion_pointing_take_out(rest, pivot, along);
+            quaternion_pointing_line *const rest = f->at[i];
+            rest->l[k] = quaternion_pointing_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = quaternion_pointing_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 3; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = quaternion_pointing_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = B[3 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = quaternion_pointing_inner(f->line[i].p, f->line[i].p);
+    }
+    quaternion_pointing_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above but
@@ -331,9 +368,9 @@ static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_q
 static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 3 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
-    const double *const row_2 = f->L + 3 * f->order[2];
+    const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
     double total = f->total;
@@ -443,9 +480,9 @@ static int quaternion_pointing_svd(const quaternion_pointing_qr *f, double *left
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = quaternion_pointing_sqrt(f->square[k]);
+        const double length = quaternion_pointing_sqrt(f->left[k]);
         for (i = k; i < 3; ++i) {
-            left[3 * k + f->order[i]] = f->L[3 * f->order[i] + k] * length;
+            left[3 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 3; ++k) {
@@ -595,6 +632,19 @@ static void quaternion_pointing_scale(const double *S, const int *exponent, doub
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int quaternion_pointing_length(const double *row, int exponent)
+{
+    double shifted[3];
+    double padded[3];
+    int j;
+    for (j = 0; j < 3; ++j) {
+        shifted[j] = quaternion_pointing_shift(row[j], -exponent);
+    }
+    quaternion_pointing_spread(shifted, 1.0, padded);
+    return exponent + quaternion_pointing_exponent(quaternion_pointing_magnitude(quaternion_pointing_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int quaternion_pointing_values(quaternion_pointing_factors *f, double *u)
 {
@@ -665,8 +715,8 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const dou
     return QUATERNION_POINTING_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -680,7 +730,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double 
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = quaternion_pointing_exponent(word.bits);
+            f->exponent[i] = quaternion_pointing_length(S + 3 * i, quaternion_pointing_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -694,11 +744,11 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double 
         int known = 1;
         f->rank = 3;
         f->path = QUATERNION_POINTING_PATH_NORMAL;
-        if (after_normal || quaternion_pointing_normal_factor(f->B, &f->normal) != 1) {
+        if (from > QUATERNION_POINTING_PATH_NORMAL || quaternion_pointing_normal_factor(f->B, &f->normal) != 1) {
             f->path = QUATERNION_POINTING_PATH_QR;
             f->direct = 1;
             quaternion_pointing_qr_factor(f->B, &f->qr);
-            known = quaternion_pointing_qr_certified(&f->qr);
+            known = from <= QUATERNION_POINTING_PATH_QR && quaternion_pointing_qr_certified(&f->qr);
         }
         if (known) {
             return QUATERNION_POINTING_OK;
@@ -807,38 +857,26 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 3 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 3 * f->order[1];
-    const double *const p_1 = f->P + 3 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
-    const double *const row_2 = f->L + 3 * f->order[2];
-    const double *const p_2 = f->P + 3 * f->order[2];
-    const double w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
+    const quaternion_pointing_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const quaternion_pointing_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
+    const quaternion_pointing_line *const p_2 = f->at[2];
+    const double w_2 = p_2->unit * r[p_2->row] - p_2->l[0] * w_0 - p_2->l[1] * w_1;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     double c_2 = w_2 * f->inverse[2];
     int j;
-    if (!careful) {
-        for (j = 0; j < 3; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j];
-        }
-        return;
+    if (careful) {
+        c_1 = (w_1 - f->cross[2] * c_2) * f->inverse[1];
+        c_0 = (w_0 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 3; ++j) {
-        x[j] = c_2 * p_2[j];
-    }
-    c_1 = (w_1 - quaternion_pointing_inner(p_1, x)) * f->inverse[1];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_1 * p_1[j];
-    }
-    c_0 = (w_0 - quaternion_pointing_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 3; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j];
     }
 }
 
@@ -854,7 +892,7 @@ static void quaternion_pointing_normal_apply(const quaternion_pointing_normal *f
 }
 
 /* r = z - B t. */
-static void quaternion_pointing_residual(const double *B, const double *z, const double *t, double *restrict r)
+static QUATERNION_POINTING_NEAR void quaternion_pointing_residual(const double *B, const double *z, const double *t, double *restrict r)
 {
     r[0] = z[0] - quaternion_pointing_inner(B, t);
     r[1] = z[1] - quaternion_pointing_inner(B + 3, t);
@@ -889,7 +927,7 @@ static void quaternion_pointing_apply(const quaternion_pointing_factors *f, cons
     }
 }
 
-static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info, int after_normal)
+static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info, int from)
 {
     quaternion_pointing_factors f;
     double zs[3], ys[3], r[3], x[3], answer[3];
@@ -899,7 +937,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
     if (quaternion_pointing_largest(z, 3) >= UINT64_C(0x7ff0000000000000) || (y != NULL && quaternion_pointing_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
         return quaternion_pointing_refuse(QUATERNION_POINTING_NONFINITE, info);
     }
-    status = quaternion_pointing_factorise(S, &f, after_normal);
+    status = quaternion_pointing_factorise(S, &f, from);
     if (status < 0) {
         return quaternion_pointing_refuse(status, info);
     }
@@ -962,57 +1000,113 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
     return status;
 }
 
-static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S, const double *z, const double *y, const double *tau, quaternion_pointing_info *info)
+static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S, const double *z, const double *y, const double *tau, int path, quaternion_pointing_info *info)
 {
     quaternion_pointing_factors f;
     (void)quaternion_pointing_consistent(S, z, y, tau, &info->residual);
-    f.path = QUATERNION_POINTING_PATH_NORMAL;
+    f.path = path;
     info->status = QUATERNION_POINTING_OK;
-    info->path = QUATERNION_POINTING_PATH_NORMAL;
+    info->path = path;
     info->rank = 3;
     info->sweeps = 0;
     info->sigma_min = quaternion_pointing_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static QUATERNION_POINTING_NEAR void quaternion_pointing_step(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B, const double *r, double *x, int careful)
 {
-    quaternion_pointing_normal f;
+    if (qr != NULL) {
+        quaternion_pointing_qr_apply(qr, r, x, careful);
+    } else {
+        quaternion_pointing_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *S, const double *B,
+    const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+{
     double r[3], x[3], step[3];
-    int held, j;
-    const double *const B = S;
-    held = quaternion_pointing_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            quaternion_pointing_normal_apply(&f, B, z, x);
-        } else {
-            double given[3];
-            quaternion_pointing_spread(y, 1.0, given);
-            quaternion_pointing_residual(B, z, given, r);
-            quaternion_pointing_normal_apply(&f, B, r, x);
-            for (j = 0; j < 3; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 3; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        quaternion_pointing_residual(B, z, x, r);
-        quaternion_pointing_normal_apply(&f, B, r, step);
+    } else {
+        quaternion_pointing_spread(y, 1.0, step);
+        quaternion_pointing_residual(B, z, step, r);
+    }
+    quaternion_pointing_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 3; ++j) {
             x[j] += step[j];
         }
-        if (quaternion_pointing_within(quaternion_pointing_inner(x, x), 23, 1923)) {
-            if (info != NULL) {
-                double answer[3];
-                quaternion_pointing_gather(x, answer);
-                quaternion_pointing_report(S, z, y, answer, info);
-            }
-            quaternion_pointing_gather(x, tau);
-            return QUATERNION_POINTING_OK;
-        }
-        held = -1;
     }
-    return quaternion_pointing_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    quaternion_pointing_residual(B, z, x, r);
+    quaternion_pointing_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 3; ++j) {
+        x[j] += step[j];
+    }
+    if (!quaternion_pointing_within(quaternion_pointing_inner(x, x), 23, 1923)) {
+        return 0;
+    }
+    if (info != NULL) {
+        double answer[3];
+        quaternion_pointing_gather(x, answer);
+        quaternion_pointing_report(S, z, y, answer, qr != NULL ? QUATERNION_POINTING_PATH_QR : QUATERNION_POINTING_PATH_NORMAL, info);
+    }
+    quaternion_pointing_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int quaternion_pointing_qr_scaled(const double *B, quaternion_pointing_qr *f)
+{
+    uint64_t exponent[3];
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        f->left[i] = quaternion_pointing_inner(B + 3 * i, B + 3 * i);
+        exponent[i] = (quaternion_pointing_biased(f->left[i]) + 1023) / 2; /* of the length */
+    }
+    for (i = 0; i < 3; ++i) {
+        const double unit = quaternion_pointing_power(1023 - (int)exponent[i]);
+        for (j = 0; j < 3; ++j) {
+            f->line[i].p[j] = unit * B[3 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    quaternion_pointing_qr_reduce(f);
+    return quaternion_pointing_qr_certified(f);
+}
+
+static QUATERNION_POINTING_APART int quaternion_pointing_solve_qr(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+{
+    quaternion_pointing_qr f;
+    const double *const B = S;
+
+    if (quaternion_pointing_qr_scaled(B, &f) && quaternion_pointing_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return QUATERNION_POINTING_OK;
+    }
+    return quaternion_pointing_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_PATH_QR);
+}
+
+static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+{
+    quaternion_pointing_normal f;
+    int held;
+    const double *const B = S;
+
+    held = quaternion_pointing_normal_factor(B, &f);
+    if (held == 1 && quaternion_pointing_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return QUATERNION_POINTING_OK;
+    }
+    if (held == 0) {
+        return quaternion_pointing_solve_qr(S, z, y, tau, info);
+    }
+    return quaternion_pointing_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1021,7 +1115,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double 
     quaternion_pointing_factors f;
     double unit[3], x[3], answer[9];
     int status, i, j;
-    status = quaternion_pointing_factorise(S, &f, 1);
+    status = quaternion_pointing_factorise(S, &f, QUATERNION_POINTING_PATH_QR);
     if (status < 0) {
         return quaternion_pointing_refuse(status, info);
     }

@@ -18,7 +18,7 @@ enum {
     QUATERNION_POINTING_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     QUATERNION_POINTING_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     QUATERNION_POINTING_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    QUATERNION_POINTING_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    QUATERNION_POINTING_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     QUATERNION_POINTING_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     QUATERNION_POINTING_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -72,7 +72,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 28 operations (13 div, 8 sub, 3 fabs, 3 mul, 1 add).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int quaternion_pointing_prepare(const quaternion_pointing_params *params, quaternion_pointing_model *model);
 
 /* psi = psi(q, u, t), holonomic rows psi(q, t), Eqs. (3), (11), [3*1].
@@ -104,7 +104,7 @@ int quaternion_pointing_S_z(const quaternion_pointing_model *model, const quater
 int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointing_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.
-   Cost: 63 operations (40 mul, 12 add, 11 sub), and the solver: 172 operations (normal equations), at most 2316 (SVD, at most 7 sweeps).
+   Cost: 63 operations (40 mul, 12 add, 11 sub), and the solver: 172 operations (normal equations), at most 2307 (SVD, at most 7 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info);
 

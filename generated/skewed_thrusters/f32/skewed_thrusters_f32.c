@@ -150,13 +150,28 @@ static float skewed_thrusters_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t skewed_thrusters_f32_biased(float x)
+{
+    skewed_thrusters_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int skewed_thrusters_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (skewed_thrusters_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return skewed_thrusters_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void skewed_thrusters_f32_spread(const float *restrict v, float factor, float *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define SKEWED_THRUSTERS_F32_NEAR inline __attribute__((always_inline))
+#else
+#define SKEWED_THRUSTERS_F32_NEAR
+#endif
+
+static SKEWED_THRUSTERS_F32_NEAR void skewed_thrusters_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
     for (k = 0; k < 8; ++k) {
@@ -165,7 +180,7 @@ static void skewed_thrusters_f32_spread(const float *restrict v, float factor, f
 }
 
 /* a b, in four sums that a machine with vectors and one without add up alike. */
-static float skewed_thrusters_f32_inner(const float *a, const float *b)
+static SKEWED_THRUSTERS_F32_NEAR float skewed_thrusters_f32_inner(const float *a, const float *b)
 {
     float sum[4];
     int k;
@@ -227,7 +242,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000026158124f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > 0.00002615795f * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
@@ -242,7 +257,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     v_5_0 = g_5_0;
     l_5_0 = v_5_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000026158124f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > 0.00002615795f * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
@@ -255,7 +270,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     v_5_1 = g_5_1 - v_5_0 * l_1_0;
     l_5_1 = v_5_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 0.000026158124f * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > 0.00002615795f * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0f / d_2;
@@ -266,7 +281,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
     l_5_2 = v_5_2 * i_2;
     d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
-    if (!(d_3 > 0.000026158124f * g_3_3)) { /* bound exceeds g / d */
+    if (!(d_3 > 0.00002615795f * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
     i_3 = 1.0f / d_3;
@@ -275,14 +290,14 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
     l_5_3 = v_5_3 * i_3;
     d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
-    if (!(d_4 > 0.000026158124f * g_4_4)) { /* bound exceeds g / d */
+    if (!(d_4 > 0.00002615795f * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
     i_4 = 1.0f / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
-    if (!(d_5 > 0.000026158124f * g_5_5)) { /* bound exceeds g / d */
+    if (!(d_5 > 0.00002615795f * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
     i_5 = 1.0f / d_5;
@@ -307,7 +322,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
     bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
     bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
-    if (!(bound <= 38229.043f)) {
+    if (!(bound <= 38229.297f)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -357,20 +372,27 @@ static void skewed_thrusters_f32_normal_solve(const skewed_thrusters_f32_normal 
     w[5] = b_5;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    float P[48];
-    float L[36];
-    float square[6];  /* squared length of the k-th pivot */
+    float p[8];
+    float l[8];
+    float unit; /* a power of two: p began as unit times the row */
+    int row;
+} skewed_thrusters_f32_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    skewed_thrusters_f32_line line[6];
+    skewed_thrusters_f32_line *at[6];
+    float left[6];    /* squared length of at[k]->p */
     float inverse[6]; /* its inverse */
-    int order[6];
+    float cross[15]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } skewed_thrusters_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static float skewed_thrusters_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static SKEWED_THRUSTERS_F32_NEAR float skewed_thrusters_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -379,50 +401,65 @@ static float skewed_thrusters_f32_take_out(float *restrict rest, const float *re
     return skewed_thrusters_f32_inner(rest, rest);
 }
 
-static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void skewed_thrusters_f32_qr_reduce(skewed_thrusters_f32_qr *f)
 {
-    float left[6]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 48; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 6; ++i) {
-        left[i] = skewed_thrusters_f32_inner(B + 8 * i, B + 8 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 6; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 6; ++k) {
-        uint32_t best = skewed_thrusters_f32_magnitude(left[f->order[k]]);
-        const float *pivot;
-        float square, inverse;
-        int at = k;
+        uint32_t best = skewed_thrusters_f32_magnitude(f->left[k]);
+        skewed_thrusters_f32_line *pivot;
+        float square;
+        int top = k;
         for (i = k + 1; i < 6; ++i) {
-            const uint32_t other = skewed_thrusters_f32_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint32_t other = skewed_thrusters_f32_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 8 * i;
-        square = left[i];
-        f->L[6 * i + k] = 1.0f;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0f;
         if (!(square >= 7.70372e-34f)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0f / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0f / square;
         for (i = k + 1; i < 6; ++i) {
-            const int row = f->order[i];
-            float *const rest = f->P + 8 * row;
-            const float along = skewed_thrusters_f32_inner(pivot, rest) * inverse;
-            f->L[6 * row + k] = along;
-            left[row] = skewed_thrusters_f32_take_out(rest, pivot, along);
+            skewed_thrusters_f32_line *const rest = f->at[i];
+            rest->l[k] = skewed_thrusters_f32_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = skewed_thrusters_f32_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 6; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = skewed_thrusters_f32_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 6; ++i) {
+        for (j = 0; j < 8; ++j) {
+            f->line[i].p[j] = B[8 * i + j];
+        }
+        f->line[i].unit = 1.0f;
+        f->line[i].row = i;
+        f->left[i] = skewed_thrusters_f32_inner(f->line[i].p, f->line[i].p);
+    }
+    skewed_thrusters_f32_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above but
@@ -430,15 +467,15 @@ static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_
 static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const float *const row_1 = f->L + 6 * f->order[1];
+    const float *const row_1 = f->at[1]->l;
     float n_1_0;
-    const float *const row_2 = f->L + 6 * f->order[2];
+    const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
-    const float *const row_3 = f->L + 6 * f->order[3];
+    const float *const row_3 = f->at[3]->l;
     float n_3_0, n_3_1, n_3_2;
-    const float *const row_4 = f->L + 6 * f->order[4];
+    const float *const row_4 = f->at[4]->l;
     float n_4_0, n_4_1, n_4_2, n_4_3;
-    const float *const row_5 = f->L + 6 * f->order[5];
+    const float *const row_5 = f->at[5]->l;
     float n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     float bound;
     float total = f->total;
@@ -572,9 +609,9 @@ static int skewed_thrusters_f32_svd(const skewed_thrusters_f32_qr *f, float *lef
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * skewed_thrusters_f32_sqrt(f->square[k]);
+        const float length = 1048576.0f * skewed_thrusters_f32_sqrt(f->left[k]);
         for (i = k; i < 6; ++i) {
-            left[8 * k + f->order[i]] = f->L[6 * f->order[i] + k] * length;
+            left[8 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 6; ++k) {
@@ -724,6 +761,19 @@ static void skewed_thrusters_f32_scale(const float *S, const int *exponent, floa
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int skewed_thrusters_f32_length(const float *row, int exponent)
+{
+    float shifted[8];
+    float padded[8];
+    int j;
+    for (j = 0; j < 8; ++j) {
+        shifted[j] = skewed_thrusters_f32_shift(row[j], -exponent);
+    }
+    skewed_thrusters_f32_spread(shifted, 1.0f, padded);
+    return exponent + skewed_thrusters_f32_exponent(skewed_thrusters_f32_magnitude(skewed_thrusters_f32_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int skewed_thrusters_f32_values(skewed_thrusters_f32_factors *f, float *u)
 {
@@ -794,8 +844,8 @@ static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise_svd(const f
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise(const float *S, skewed_thrusters_f32_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise(const float *S, skewed_thrusters_f32_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -809,7 +859,7 @@ static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise(const float
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0f) {
-            f->exponent[i] = skewed_thrusters_f32_exponent(word.bits);
+            f->exponent[i] = skewed_thrusters_f32_length(S + 8 * i, skewed_thrusters_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -823,11 +873,11 @@ static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_factorise(const float
         int known = 1;
         f->rank = 6;
         f->path = SKEWED_THRUSTERS_F32_PATH_NORMAL;
-        if (after_normal || skewed_thrusters_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > SKEWED_THRUSTERS_F32_PATH_NORMAL || skewed_thrusters_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = SKEWED_THRUSTERS_F32_PATH_QR;
             f->direct = 1;
             skewed_thrusters_f32_qr_factor(f->B, &f->qr);
-            known = skewed_thrusters_f32_qr_certified(&f->qr);
+            known = from <= SKEWED_THRUSTERS_F32_PATH_QR && skewed_thrusters_f32_qr_certified(&f->qr);
         }
         if (known) {
             return SKEWED_THRUSTERS_F32_OK;
@@ -936,27 +986,22 @@ static int skewed_thrusters_f32_consistent(const float *S, const float *z, const
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void skewed_thrusters_f32_qr_apply(const skewed_thrusters_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
-    const float *const p_0 = f->P + 8 * f->order[0];
-    const float w_0 = r[f->order[0]];
-    const float *const row_1 = f->L + 6 * f->order[1];
-    const float *const p_1 = f->P + 8 * f->order[1];
-    const float w_1 = r[f->order[1]] - row_1[0] * w_0;
-    const float *const row_2 = f->L + 6 * f->order[2];
-    const float *const p_2 = f->P + 8 * f->order[2];
-    const float w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
-    const float *const row_3 = f->L + 6 * f->order[3];
-    const float *const p_3 = f->P + 8 * f->order[3];
-    const float w_3 = r[f->order[3]] - row_3[0] * w_0 - row_3[1] * w_1 - row_3[2] * w_2;
-    const float *const row_4 = f->L + 6 * f->order[4];
-    const float *const p_4 = f->P + 8 * f->order[4];
-    const float w_4 = r[f->order[4]] - row_4[0] * w_0 - row_4[1] * w_1 - row_4[2] * w_2 - row_4[3] * w_3;
-    const float *const row_5 = f->L + 6 * f->order[5];
-    const float *const p_5 = f->P + 8 * f->order[5];
-    const float w_5 = r[f->order[5]] - row_5[0] * w_0 - row_5[1] * w_1 - row_5[2] * w_2 - row_5[3] * w_3 - row_5[4] * w_4;
+    const skewed_thrusters_f32_line *const p_0 = f->at[0];
+    const float w_0 = p_0->unit * r[p_0->row];
+    const skewed_thrusters_f32_line *const p_1 = f->at[1];
+    const float w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
+    const skewed_thrusters_f32_line *const p_2 = f->at[2];
+    const float w_2 = p_2->unit * r[p_2->row] - p_2->l[0] * w_0 - p_2->l[1] * w_1;
+    const skewed_thrusters_f32_line *const p_3 = f->at[3];
+    const float w_3 = p_3->unit * r[p_3->row] - p_3->l[0] * w_0 - p_3->l[1] * w_1 - p_3->l[2] * w_2;
+    const skewed_thrusters_f32_line *const p_4 = f->at[4];
+    const float w_4 = p_4->unit * r[p_4->row] - p_4->l[0] * w_0 - p_4->l[1] * w_1 - p_4->l[2] * w_2 - p_4->l[3] * w_3;
+    const skewed_thrusters_f32_line *const p_5 = f->at[5];
+    const float w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3 - p_5->l[4] * w_4;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     float c_2 = w_2 * f->inverse[2];
@@ -964,34 +1009,15 @@ static void skewed_thrusters_f32_qr_apply(const skewed_thrusters_f32_qr *f, cons
     float c_4 = w_4 * f->inverse[4];
     float c_5 = w_5 * f->inverse[5];
     int j;
-    if (!careful) {
-        for (j = 0; j < 8; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j] + c_3 * p_3[j] + c_4 * p_4[j] + c_5 * p_5[j];
-        }
-        return;
+    if (careful) {
+        c_4 = (w_4 - f->cross[14] * c_5) * f->inverse[4];
+        c_3 = (w_3 - f->cross[13] * c_5 - f->cross[9] * c_4) * f->inverse[3];
+        c_2 = (w_2 - f->cross[12] * c_5 - f->cross[8] * c_4 - f->cross[5] * c_3) * f->inverse[2];
+        c_1 = (w_1 - f->cross[11] * c_5 - f->cross[7] * c_4 - f->cross[4] * c_3 - f->cross[2] * c_2) * f->inverse[1];
+        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_5 * p_5[j];
-    }
-    c_4 = (w_4 - skewed_thrusters_f32_inner(p_4, x)) * f->inverse[4];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_4 * p_4[j];
-    }
-    c_3 = (w_3 - skewed_thrusters_f32_inner(p_3, x)) * f->inverse[3];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_3 * p_3[j];
-    }
-    c_2 = (w_2 - skewed_thrusters_f32_inner(p_2, x)) * f->inverse[2];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_2 * p_2[j];
-    }
-    c_1 = (w_1 - skewed_thrusters_f32_inner(p_1, x)) * f->inverse[1];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_1 * p_1[j];
-    }
-    c_0 = (w_0 - skewed_thrusters_f32_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j] + c_5 * p_5->p[j];
     }
 }
 
@@ -1041,7 +1067,7 @@ static SKEWED_THRUSTERS_F32_APART int skewed_thrusters_f32_pinv_core(const float
     skewed_thrusters_f32_factors f;
     float unit[6], x[8], answer[48];
     int status, i, j;
-    status = skewed_thrusters_f32_factorise(S, &f, 1);
+    status = skewed_thrusters_f32_factorise(S, &f, SKEWED_THRUSTERS_F32_PATH_QR);
     if (status < 0) {
         return skewed_thrusters_f32_refuse(status, info);
     }

@@ -18,7 +18,7 @@ enum {
     SKEWED_THRUSTERS_F32_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     SKEWED_THRUSTERS_F32_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     SKEWED_THRUSTERS_F32_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    SKEWED_THRUSTERS_F32_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    SKEWED_THRUSTERS_F32_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     SKEWED_THRUSTERS_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     SKEWED_THRUSTERS_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -90,7 +90,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 20 operations (16 div, 4 fabs).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int skewed_thrusters_f32_prepare(const skewed_thrusters_f32_params *params, skewed_thrusters_f32_model *model);
 
 /* psi = psi(q, u, t), Eq. (3), [6*1].

@@ -150,13 +150,28 @@ static double skewed_thrusters_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t skewed_thrusters_biased(double x)
+{
+    skewed_thrusters_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int skewed_thrusters_within(double x, uint64_t low, uint64_t high)
 {
-    return (skewed_thrusters_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return skewed_thrusters_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void skewed_thrusters_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define SKEWED_THRUSTERS_NEAR inline __attribute__((always_inline))
+#else
+#define SKEWED_THRUSTERS_NEAR
+#endif
+
+static SKEWED_THRUSTERS_NEAR void skewed_thrusters_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 8; ++k) {
@@ -165,7 +180,7 @@ static void skewed_thrusters_spread(const double *restrict v, double factor, dou
 }
 
 /* a b, in four sums that a machine with vectors and one without add up alike. */
-static double skewed_thrusters_inner(const double *a, const double *b)
+static SKEWED_THRUSTERS_NEAR double skewed_thrusters_inner(const double *a, const double *b)
 {
     double sum[4];
     int k;
@@ -357,20 +372,27 @@ static void skewed_thrusters_normal_solve(const skewed_thrusters_normal *f, cons
     w[5] = b_5;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[48];
-    double L[36];
-    double square[6];  /* squared length of the k-th pivot */
+    double p[8];
+    double l[8];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} skewed_thrusters_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    skewed_thrusters_line line[6];
+    skewed_thrusters_line *at[6];
+    double left[6];    /* squared length of at[k]->p */
     double inverse[6]; /* its inverse */
-    int order[6];
+    double cross[15]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } skewed_thrusters_qr;
 
 /* rest -= along pivot, its squared length. */
-static double skewed_thrusters_take_out(double *restrict rest, const double *restrict pivot, double along)
+static SKEWED_THRUSTERS_NEAR double skewed_thrusters_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -379,50 +401,65 @@ static double skewed_thrusters_take_out(double *restrict rest, const double *res
     return skewed_thrusters_inner(rest, rest);
 }
 
-static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void skewed_thrusters_qr_reduce(skewed_thrusters_qr *f)
 {
-    double left[6]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 48; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 6; ++i) {
-        left[i] = skewed_thrusters_inner(B + 8 * i, B + 8 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 6; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 6; ++k) {
-        uint64_t best = skewed_thrusters_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = skewed_thrusters_magnitude(f->left[k]);
+        skewed_thrusters_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 6; ++i) {
-            const uint64_t other = skewed_thrusters_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = skewed_thrusters_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 8 * i;
-        square = left[i];
-        f->L[6 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 6; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 8 * row;
-            const double along = skewed_thrusters_inner(pivot, rest) * inverse;
-            f->L[6 * row + k] = along;
-            left[row] = skewed_thrusters_take_out(rest, pivot, along);
+            skewed_thrusters_line *const rest = f->at[i];
+            rest->l[k] = skewed_thrusters_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = skewed_thrusters_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 6; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = skewed_thrusters_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 6; ++i) {
+        for (j = 0; j < 8; ++j) {
+            f->line[i].p[j] = B[8 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = skewed_thrusters_inner(f->line[i].p, f->line[i].p);
+    }
+    skewed_thrusters_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above but
@@ -430,15 +467,15 @@ static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
 static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 6 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
-    const double *const row_2 = f->L + 6 * f->order[2];
+    const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
-    const double *const row_3 = f->L + 6 * f->order[3];
+    const double *const row_3 = f->at[3]->l;
     double n_3_0, n_3_1, n_3_2;
-    const double *const row_4 = f->L + 6 * f->order[4];
+    const double *const row_4 = f->at[4]->l;
     double n_4_0, n_4_1, n_4_2, n_4_3;
-    const double *const row_5 = f->L + 6 * f->order[5];
+    const double *const row_5 = f->at[5]->l;
     double n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     double bound;
     double total = f->total;
@@ -572,9 +609,9 @@ static int skewed_thrusters_svd(const skewed_thrusters_qr *f, double *left, doub
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = skewed_thrusters_sqrt(f->square[k]);
+        const double length = skewed_thrusters_sqrt(f->left[k]);
         for (i = k; i < 6; ++i) {
-            left[8 * k + f->order[i]] = f->L[6 * f->order[i] + k] * length;
+            left[8 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 6; ++k) {
@@ -724,6 +761,19 @@ static void skewed_thrusters_scale(const double *S, const int *exponent, double 
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int skewed_thrusters_length(const double *row, int exponent)
+{
+    double shifted[8];
+    double padded[8];
+    int j;
+    for (j = 0; j < 8; ++j) {
+        shifted[j] = skewed_thrusters_shift(row[j], -exponent);
+    }
+    skewed_thrusters_spread(shifted, 1.0, padded);
+    return exponent + skewed_thrusters_exponent(skewed_thrusters_magnitude(skewed_thrusters_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int skewed_thrusters_values(skewed_thrusters_factors *f, double *u)
 {
@@ -794,8 +844,8 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S
     return SKEWED_THRUSTERS_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -809,7 +859,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, sk
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = skewed_thrusters_exponent(word.bits);
+            f->exponent[i] = skewed_thrusters_length(S + 8 * i, skewed_thrusters_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -823,11 +873,11 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, sk
         int known = 1;
         f->rank = 6;
         f->path = SKEWED_THRUSTERS_PATH_NORMAL;
-        if (after_normal || skewed_thrusters_normal_factor(f->B, &f->normal) != 1) {
+        if (from > SKEWED_THRUSTERS_PATH_NORMAL || skewed_thrusters_normal_factor(f->B, &f->normal) != 1) {
             f->path = SKEWED_THRUSTERS_PATH_QR;
             f->direct = 1;
             skewed_thrusters_qr_factor(f->B, &f->qr);
-            known = skewed_thrusters_qr_certified(&f->qr);
+            known = from <= SKEWED_THRUSTERS_PATH_QR && skewed_thrusters_qr_certified(&f->qr);
         }
         if (known) {
             return SKEWED_THRUSTERS_OK;
@@ -936,27 +986,22 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 8 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 6 * f->order[1];
-    const double *const p_1 = f->P + 8 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
-    const double *const row_2 = f->L + 6 * f->order[2];
-    const double *const p_2 = f->P + 8 * f->order[2];
-    const double w_2 = r[f->order[2]] - row_2[0] * w_0 - row_2[1] * w_1;
-    const double *const row_3 = f->L + 6 * f->order[3];
-    const double *const p_3 = f->P + 8 * f->order[3];
-    const double w_3 = r[f->order[3]] - row_3[0] * w_0 - row_3[1] * w_1 - row_3[2] * w_2;
-    const double *const row_4 = f->L + 6 * f->order[4];
-    const double *const p_4 = f->P + 8 * f->order[4];
-    const double w_4 = r[f->order[4]] - row_4[0] * w_0 - row_4[1] * w_1 - row_4[2] * w_2 - row_4[3] * w_3;
-    const double *const row_5 = f->L + 6 * f->order[5];
-    const double *const p_5 = f->P + 8 * f->order[5];
-    const double w_5 = r[f->order[5]] - row_5[0] * w_0 - row_5[1] * w_1 - row_5[2] * w_2 - row_5[3] * w_3 - row_5[4] * w_4;
+    const skewed_thrusters_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const skewed_thrusters_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
+    const skewed_thrusters_line *const p_2 = f->at[2];
+    const double w_2 = p_2->unit * r[p_2->row] - p_2->l[0] * w_0 - p_2->l[1] * w_1;
+    const skewed_thrusters_line *const p_3 = f->at[3];
+    const double w_3 = p_3->unit * r[p_3->row] - p_3->l[0] * w_0 - p_3->l[1] * w_1 - p_3->l[2] * w_2;
+    const skewed_thrusters_line *const p_4 = f->at[4];
+    const double w_4 = p_4->unit * r[p_4->row] - p_4->l[0] * w_0 - p_4->l[1] * w_1 - p_4->l[2] * w_2 - p_4->l[3] * w_3;
+    const skewed_thrusters_line *const p_5 = f->at[5];
+    const double w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3 - p_5->l[4] * w_4;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     double c_2 = w_2 * f->inverse[2];
@@ -964,34 +1009,15 @@ static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double
     double c_4 = w_4 * f->inverse[4];
     double c_5 = w_5 * f->inverse[5];
     int j;
-    if (!careful) {
-        for (j = 0; j < 8; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j] + c_2 * p_2[j] + c_3 * p_3[j] + c_4 * p_4[j] + c_5 * p_5[j];
-        }
-        return;
+    if (careful) {
+        c_4 = (w_4 - f->cross[14] * c_5) * f->inverse[4];
+        c_3 = (w_3 - f->cross[13] * c_5 - f->cross[9] * c_4) * f->inverse[3];
+        c_2 = (w_2 - f->cross[12] * c_5 - f->cross[8] * c_4 - f->cross[5] * c_3) * f->inverse[2];
+        c_1 = (w_1 - f->cross[11] * c_5 - f->cross[7] * c_4 - f->cross[4] * c_3 - f->cross[2] * c_2) * f->inverse[1];
+        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_5 * p_5[j];
-    }
-    c_4 = (w_4 - skewed_thrusters_inner(p_4, x)) * f->inverse[4];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_4 * p_4[j];
-    }
-    c_3 = (w_3 - skewed_thrusters_inner(p_3, x)) * f->inverse[3];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_3 * p_3[j];
-    }
-    c_2 = (w_2 - skewed_thrusters_inner(p_2, x)) * f->inverse[2];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_2 * p_2[j];
-    }
-    c_1 = (w_1 - skewed_thrusters_inner(p_1, x)) * f->inverse[1];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_1 * p_1[j];
-    }
-    c_0 = (w_0 - skewed_thrusters_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 8; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j] + c_5 * p_5->p[j];
     }
 }
 
@@ -1041,7 +1067,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, do
     skewed_thrusters_factors f;
     double unit[6], x[8], answer[48];
     int status, i, j;
-    status = skewed_thrusters_factorise(S, &f, 1);
+    status = skewed_thrusters_factorise(S, &f, SKEWED_THRUSTERS_PATH_QR);
     if (status < 0) {
         return skewed_thrusters_refuse(status, info);
     }

@@ -90,11 +90,11 @@ static double spacecraft_sqrt(double x)
 #endif
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define SPACECRAFT_APART __attribute__((noinline))
+#define SPACECRAFT_COLD __attribute__((noinline, cold))
 #else
-#define SPACECRAFT_APART
+#define SPACECRAFT_COLD
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -145,10 +145,18 @@ static int spacecraft_exponent(uint64_t magnitude)
     return (int)(magnitude >> 52) - 1023 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t spacecraft_biased(double x)
+{
+    spacecraft_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int spacecraft_within(double x, uint64_t low, uint64_t high)
 {
-    return (spacecraft_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return spacecraft_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -286,11 +294,11 @@ static void spacecraft_fill_info(const double *S, int status, int rank, double r
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int spacecraft_cancels(double rest, double target)
 {
-    return (rest < 0.0 ? -rest : rest) > 1.5 * (target < 0.0 ? -target : target);
+    return spacecraft_biased(rest) > spacecraft_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int spacecraft_solve_scaled(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
+static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
 {
     spacecraft_scaled_row row;
     double answer[3];
@@ -334,7 +342,7 @@ static int spacecraft_solve_scaled(const double *S, const double *z, const doubl
         for (j = 0; j < 3; ++j) {
             target -= row.s[j] * spacecraft_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0 / row.square;
         for (j = 0; j < 3; ++j) {
             answer[j] += spacecraft_shift(row.s[j] * target, unit);
         }
@@ -357,7 +365,7 @@ static int spacecraft_solve_scaled(const double *S, const double *z, const doubl
     return status;
 }
 
-static int spacecraft_pinv_scaled(const double *S, double *S_pinv, spacecraft_info *info)
+static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pinv, spacecraft_info *info)
 {
     spacecraft_scaled_row row;
     double answer[3];
@@ -381,6 +389,17 @@ static int spacecraft_pinv_scaled(const double *S, double *S_pinv, spacecraft_in
     return status;
 }
 
+static SPACECRAFT_COLD int spacecraft_quick_info(double square, double residual, spacecraft_info *info)
+{
+    info->status = SPACECRAFT_OK;
+    info->path = SPACECRAFT_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = spacecraft_sqrt(square);
+    info->residual = residual < 0.0 ? -residual : residual;
+    return SPACECRAFT_OK;
+}
+
 static int spacecraft_solve_core(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
 {
     const double s_0 = S[0];
@@ -390,50 +409,47 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
     const double square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (spacecraft_within(square, 823, 1223)) {
-        double rest = target;
-        double t_0, t_1, t_2;
         if (y == NULL) {
-            if (!spacecraft_within(rest, 323, 1723)) {
-                return spacecraft_solve_scaled(S, z, y, tau, info);
+            if (spacecraft_within(target, 323, 1723)) {
+                const double scale = target / square;
+                const double t_0 = s_0 * scale;
+                const double t_1 = s_1 * scale;
+                const double t_2 = s_2 * scale;
+                tau[0] = t_0;
+                tau[1] = t_1;
+                tau[2] = t_2;
+                if (info != NULL) {
+                    return spacecraft_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                }
+                return SPACECRAFT_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
-            t_1 = s_1 * rest;
-            t_2 = s_2 * rest;
         } else {
             const double y_0 = y[0];
             const double y_1 = y[1];
             const double y_2 = y[2];
-            rest = rest - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
-            if (!spacecraft_within(rest, 323, 1723)) {
-                return spacecraft_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const double rest = target - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
+            if (spacecraft_within(rest, 323, 1723)) {
                 const double scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-                t_1 = y_1 + s_1 * scale;
-                t_2 = y_2 + s_2 * scale;
-            }
-            if (spacecraft_cancels(rest, target)) {
-                rest = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) / square;
-                t_0 += s_0 * rest;
-                t_1 += s_1 * rest;
-                t_2 += s_2 * rest;
+                double t_0 = y_0 + s_0 * scale;
+                double t_1 = y_1 + s_1 * scale;
+                double t_2 = y_2 + s_2 * scale;
+                if (spacecraft_cancels(rest, target)) {
+                    const double more = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) * (1.0 / square);
+                    t_0 += s_0 * more;
+                    t_1 += s_1 * more;
+                    t_2 += s_2 * more;
+                }
+                tau[0] = t_0;
+                tau[1] = t_1;
+                tau[2] = t_2;
+                if (info != NULL) {
+                    return spacecraft_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                }
+                return SPACECRAFT_OK;
+
             }
         }
-        tau[0] = t_0;
-        tau[1] = t_1;
-        tau[2] = t_2;
-        if (info != NULL) {
-            rest = target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2;
-            info->status = SPACECRAFT_OK;
-            info->path = SPACECRAFT_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = spacecraft_sqrt(square);
-            info->residual = rest < 0.0 ? -rest : rest;
-        }
-        return SPACECRAFT_OK;
     }
     return spacecraft_solve_scaled(S, z, y, tau, info);
 }
@@ -447,12 +463,7 @@ static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info
     }
     if (spacecraft_within(square, 823, 1223)) {
         if (info != NULL) {
-            info->status = SPACECRAFT_OK;
-            info->path = SPACECRAFT_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = spacecraft_sqrt(square);
-            info->residual = 0.0;
+            (void)spacecraft_quick_info(square, 0.0, info);
         }
         for (j = 0; j < 3; ++j) {
             S_pinv[j] = S[j] / square;
@@ -818,31 +829,39 @@ int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in
     return spacecraft_solve_core(A, B, NULL, tau_dot, info);
 }
 
-/* Nearest tau with phi = 0, from Gauss and Newton: tau <- start + A+ (A (tau - start) - phi(tau)). */
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
 int spacecraft_project(const spacecraft_model *model, const spacecraft_input *in, double *tau, spacecraft_info *info)
 {
     spacecraft_input at = *in;
-    double start[3], now[3], move[3], phi[1], A[3];
-    int status, j;
-    int i;
-    spacecraft_copy(in->tau, start, 3);
-    spacecraft_copy(start, now, 3);
-    status = spacecraft_checked_phi_A(model, &at, phi, A);
-    if (status < 0) {
-        return spacecraft_refuse(status, info);
-    }
-    for (i = 0; i < 1; ++i) {
-        phi[i] = -phi[i];
-    }
-    status = spacecraft_solve_core(A, phi, NULL, move, info);
-    if (status < 0) {
-        return status;
-    }
-    for (j = 0; j < 3; ++j) {
-        now[j] = start[j] + move[j];
-    }
-    if (!spacecraft_finite(now, 3)) {
-        return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
+    const uint64_t from = spacecraft_largest(in->tau, 3) >> 52;
+    double now[3], move[3], phi[1], A[3];
+    int status = SPACECRAFT_OK;
+    int step, i, j;
+    spacecraft_copy(in->tau, now, 3);
+    for (step = 0; step < 2; ++step) {
+        uint64_t size;
+        status = spacecraft_checked_phi_A(model, &at, phi, A);
+        if (status < 0) {
+            return spacecraft_refuse(status, info);
+        }
+        for (i = 0; i < 1; ++i) {
+            phi[i] = -phi[i];
+        }
+        status = spacecraft_solve_core(A, phi, NULL, move, info);
+        if (status < 0) {
+            return status;
+        }
+        for (j = 0; j < 3; ++j) {
+            now[j] += move[j];
+        }
+        size = spacecraft_largest(now, 3);
+        if (size >= UINT64_C(0x7ff0000000000000)) {
+            return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
+        }
+        if (from <= (size >> 52) + 3) { /* nothing was cancelled */
+            break;
+        }
+        spacecraft_copy(now, at.tau, 3);
     }
     spacecraft_copy(now, tau, 3);
     return status;

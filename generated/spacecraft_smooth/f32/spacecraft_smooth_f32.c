@@ -90,11 +90,11 @@ static float spacecraft_smooth_f32_sqrt(float x)
 #endif
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Rarely or never needed: small, and out of the way of what is. */
 #if defined(__GNUC__)
-#define SPACECRAFT_SMOOTH_F32_APART __attribute__((noinline))
+#define SPACECRAFT_SMOOTH_F32_COLD __attribute__((noinline, cold))
 #else
-#define SPACECRAFT_SMOOTH_F32_APART
+#define SPACECRAFT_SMOOTH_F32_COLD
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -145,10 +145,18 @@ static int spacecraft_smooth_f32_exponent(uint32_t magnitude)
     return (int)(magnitude >> 23) - 127 - lift;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint32_t spacecraft_smooth_f32_biased(float x)
+{
+    spacecraft_smooth_f32_word word;
+    word.value = x;
+    return word.bits << 1 >> 24;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int spacecraft_smooth_f32_within(float x, uint32_t low, uint32_t high)
 {
-    return (spacecraft_smooth_f32_magnitude(x) >> 23) - low <= high - low; /* unsigned: one comparison */
+    return spacecraft_smooth_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -286,11 +294,11 @@ static void spacecraft_smooth_f32_fill_info(const float *S, int status, int rank
 /* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
 static int spacecraft_smooth_f32_cancels(float rest, float target)
 {
-    return (rest < 0.0f ? -rest : rest) > 1.5f * (target < 0.0f ? -target : target);
+    return spacecraft_smooth_f32_biased(rest) > spacecraft_smooth_f32_biased(target);
 }
 
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_scaled_row row;
     float answer[3];
@@ -334,7 +342,7 @@ static int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z, co
         for (j = 0; j < 3; ++j) {
             target -= row.s[j] * spacecraft_smooth_f32_shift(answer[j], -unit);
         }
-        target /= row.square;
+        target *= 1.0f / row.square;
         for (j = 0; j < 3; ++j) {
             answer[j] += spacecraft_smooth_f32_shift(row.s[j] * target, unit);
         }
@@ -357,7 +365,7 @@ static int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z, co
     return status;
 }
 
-static int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv, spacecraft_smooth_f32_info *info)
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_scaled_row row;
     float answer[3];
@@ -381,6 +389,17 @@ static int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv, spac
     return status;
 }
 
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_quick_info(float square, float residual, spacecraft_smooth_f32_info *info)
+{
+    info->status = SPACECRAFT_SMOOTH_F32_OK;
+    info->path = SPACECRAFT_SMOOTH_F32_PATH_CLOSED_FORM;
+    info->rank = 1;
+    info->sweeps = 0;
+    info->sigma_min = spacecraft_smooth_f32_sqrt(square);
+    info->residual = residual < 0.0f ? -residual : residual;
+    return SPACECRAFT_SMOOTH_F32_OK;
+}
+
 static int spacecraft_smooth_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
 {
     const float s_0 = S[0];
@@ -390,50 +409,47 @@ static int spacecraft_smooth_f32_solve_core(const float *S, const float *z, cons
     const float square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (spacecraft_smooth_f32_within(square, 97, 157)) {
-        float rest = target;
-        float t_0, t_1, t_2;
         if (y == NULL) {
-            if (!spacecraft_smooth_f32_within(rest, 67, 187)) {
-                return spacecraft_smooth_f32_solve_scaled(S, z, y, tau, info);
+            if (spacecraft_smooth_f32_within(target, 67, 187)) {
+                const float scale = target / square;
+                const float t_0 = s_0 * scale;
+                const float t_1 = s_1 * scale;
+                const float t_2 = s_2 * scale;
+                tau[0] = t_0;
+                tau[1] = t_1;
+                tau[2] = t_2;
+                if (info != NULL) {
+                    return spacecraft_smooth_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                }
+                return SPACECRAFT_SMOOTH_F32_OK;
+
             }
-            rest /= square;
-            t_0 = s_0 * rest;
-            t_1 = s_1 * rest;
-            t_2 = s_2 * rest;
         } else {
             const float y_0 = y[0];
             const float y_1 = y[1];
             const float y_2 = y[2];
-            rest = rest - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
-            if (!spacecraft_smooth_f32_within(rest, 67, 187)) {
-                return spacecraft_smooth_f32_solve_scaled(S, z, y, tau, info);
-            }
-            {
+            const float rest = target - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
+            if (spacecraft_smooth_f32_within(rest, 67, 187)) {
                 const float scale = rest / square;
-                t_0 = y_0 + s_0 * scale;
-                t_1 = y_1 + s_1 * scale;
-                t_2 = y_2 + s_2 * scale;
-            }
-            if (spacecraft_smooth_f32_cancels(rest, target)) {
-                rest = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) / square;
-                t_0 += s_0 * rest;
-                t_1 += s_1 * rest;
-                t_2 += s_2 * rest;
+                float t_0 = y_0 + s_0 * scale;
+                float t_1 = y_1 + s_1 * scale;
+                float t_2 = y_2 + s_2 * scale;
+                if (spacecraft_smooth_f32_cancels(rest, target)) {
+                    const float more = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) * (1.0f / square);
+                    t_0 += s_0 * more;
+                    t_1 += s_1 * more;
+                    t_2 += s_2 * more;
+                }
+                tau[0] = t_0;
+                tau[1] = t_1;
+                tau[2] = t_2;
+                if (info != NULL) {
+                    return spacecraft_smooth_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                }
+                return SPACECRAFT_SMOOTH_F32_OK;
+
             }
         }
-        tau[0] = t_0;
-        tau[1] = t_1;
-        tau[2] = t_2;
-        if (info != NULL) {
-            rest = target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2;
-            info->status = SPACECRAFT_SMOOTH_F32_OK;
-            info->path = SPACECRAFT_SMOOTH_F32_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = spacecraft_smooth_f32_sqrt(square);
-            info->residual = rest < 0.0f ? -rest : rest;
-        }
-        return SPACECRAFT_SMOOTH_F32_OK;
     }
     return spacecraft_smooth_f32_solve_scaled(S, z, y, tau, info);
 }
@@ -447,12 +463,7 @@ static int spacecraft_smooth_f32_pinv_core(const float *S, float *S_pinv, spacec
     }
     if (spacecraft_smooth_f32_within(square, 97, 157)) {
         if (info != NULL) {
-            info->status = SPACECRAFT_SMOOTH_F32_OK;
-            info->path = SPACECRAFT_SMOOTH_F32_PATH_CLOSED_FORM;
-            info->rank = 1;
-            info->sweeps = 0;
-            info->sigma_min = spacecraft_smooth_f32_sqrt(square);
-            info->residual = 0.0f;
+            (void)spacecraft_smooth_f32_quick_info(square, 0.0f, info);
         }
         for (j = 0; j < 3; ++j) {
             S_pinv[j] = S[j] / square;
@@ -877,31 +888,39 @@ int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, cons
     return spacecraft_smooth_f32_solve_core(A, B, y, tau_dot, info);
 }
 
-/* Nearest tau with phi = 0, from Gauss and Newton: tau <- start + A+ (A (tau - start) - phi(tau)). */
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
 int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_input at = *in;
-    float start[3], now[3], move[3], phi[1], A[3];
-    int status, j;
-    int i;
-    spacecraft_smooth_f32_copy(in->tau, start, 3);
-    spacecraft_smooth_f32_copy(start, now, 3);
-    status = spacecraft_smooth_f32_checked_phi_A(model, &at, phi, A);
-    if (status < 0) {
-        return spacecraft_smooth_f32_refuse(status, info);
-    }
-    for (i = 0; i < 1; ++i) {
-        phi[i] = -phi[i];
-    }
-    status = spacecraft_smooth_f32_solve_core(A, phi, NULL, move, info);
-    if (status < 0) {
-        return status;
-    }
-    for (j = 0; j < 3; ++j) {
-        now[j] = start[j] + move[j];
-    }
-    if (!spacecraft_smooth_f32_finite(now, 3)) {
-        return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_OVERFLOW, info);
+    const uint32_t from = spacecraft_smooth_f32_largest(in->tau, 3) >> 23;
+    float now[3], move[3], phi[1], A[3];
+    int status = SPACECRAFT_SMOOTH_F32_OK;
+    int step, i, j;
+    spacecraft_smooth_f32_copy(in->tau, now, 3);
+    for (step = 0; step < 2; ++step) {
+        uint32_t size;
+        status = spacecraft_smooth_f32_checked_phi_A(model, &at, phi, A);
+        if (status < 0) {
+            return spacecraft_smooth_f32_refuse(status, info);
+        }
+        for (i = 0; i < 1; ++i) {
+            phi[i] = -phi[i];
+        }
+        status = spacecraft_smooth_f32_solve_core(A, phi, NULL, move, info);
+        if (status < 0) {
+            return status;
+        }
+        for (j = 0; j < 3; ++j) {
+            now[j] += move[j];
+        }
+        size = spacecraft_smooth_f32_largest(now, 3);
+        if (size >= UINT32_C(0x7f800000)) {
+            return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_OVERFLOW, info);
+        }
+        if (from <= (size >> 23) + 3) { /* nothing was cancelled */
+            break;
+        }
+        spacecraft_smooth_f32_copy(now, at.tau, 3);
     }
     spacecraft_smooth_f32_copy(now, tau, 3);
     return status;

@@ -18,7 +18,7 @@ enum {
     SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     SPACECRAFT_SMOOTH_F32_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     SPACECRAFT_SMOOTH_F32_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    SPACECRAFT_SMOOTH_F32_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    SPACECRAFT_SMOOTH_F32_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     SPACECRAFT_SMOOTH_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     SPACECRAFT_SMOOTH_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -106,7 +106,8 @@ int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_
    Returns a status as above: zero or positive with tau' written, negative with it untouched. */
 int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau_dot, spacecraft_smooth_f32_info *info);
 
-/* The tau [3] nearest to in->tau with phi = 0 at the state in *in, by one exact step: phi is affine in tau.
+/* The tau [3] nearest to in->tau with phi = 0 at the state in *in, by an exact step, for phi is affine in tau, and another where
+   that one cancels most of in->tau.
    Positive: phi = 0 cannot be met, tau is the best in the least-squares sense. info is that of the last solve. */
 int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau, spacecraft_smooth_f32_info *info);
 

@@ -18,7 +18,7 @@ enum {
     SPACECRAFT_SMOOTH_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     SPACECRAFT_SMOOTH_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     SPACECRAFT_SMOOTH_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    SPACECRAFT_SMOOTH_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    SPACECRAFT_SMOOTH_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     SPACECRAFT_SMOOTH_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     SPACECRAFT_SMOOTH_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -106,7 +106,8 @@ int spacecraft_smooth_pinv(const double *A, double *A_pinv, spacecraft_smooth_in
    Returns a status as above: zero or positive with tau' written, negative with it untouched. */
 int spacecraft_smooth_control(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *tau_dot, spacecraft_smooth_info *info);
 
-/* The tau [3] nearest to in->tau with phi = 0 at the state in *in, by one exact step: phi is affine in tau.
+/* The tau [3] nearest to in->tau with phi = 0 at the state in *in, by an exact step, for phi is affine in tau, and another where
+   that one cancels most of in->tau.
    Positive: phi = 0 cannot be met, tau is the best in the least-squares sense. info is that of the last solve. */
 int spacecraft_smooth_project(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *tau, spacecraft_smooth_info *info);
 

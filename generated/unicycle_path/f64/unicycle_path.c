@@ -320,13 +320,28 @@ static double unicycle_path_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
+/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+static uint64_t unicycle_path_biased(double x)
+{
+    unicycle_path_word word;
+    word.value = x;
+    return word.bits << 1 >> 53;
+}
+
 /* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
 static int unicycle_path_within(double x, uint64_t low, uint64_t high)
 {
-    return (unicycle_path_magnitude(x) >> 52) - low <= high - low; /* unsigned: one comparison */
+    return unicycle_path_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-static void unicycle_path_spread(const double *restrict v, double factor, double *restrict w)
+/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
+#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+#define UNICYCLE_PATH_NEAR inline __attribute__((always_inline))
+#else
+#define UNICYCLE_PATH_NEAR
+#endif
+
+static UNICYCLE_PATH_NEAR void unicycle_path_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -335,7 +350,7 @@ static void unicycle_path_spread(const double *restrict v, double factor, double
 }
 
 /* The inverse of spreading, without a factor. */
-static void unicycle_path_gather(const double *restrict w, double *restrict v)
+static UNICYCLE_PATH_NEAR void unicycle_path_gather(const double *restrict w, double *restrict v)
 {
     int k;
     for (k = 0; k < 2; ++k) {
@@ -343,7 +358,7 @@ static void unicycle_path_gather(const double *restrict w, double *restrict v)
     }
 }
 
-static double unicycle_path_inner(const double *a, const double *b)
+static UNICYCLE_PATH_NEAR double unicycle_path_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
@@ -405,20 +420,27 @@ static void unicycle_path_normal_solve(const unicycle_path_normal *f, const doub
     w[1] = b_1;
 }
 
-/* B = L P: row order[k] of P is the k-th pivot's remainder, orthogonal to all before it; L is 1 at [order[k]][k], zero in
-   the rows that were pivots before. */
+/* What is left of one row of B, and what the pivots before it took. */
 typedef struct {
-    double P[4];
-    double L[4];
-    double square[2];  /* squared length of the k-th pivot */
+    double p[2];
+    double l[2];
+    double unit; /* a power of two: p began as unit times the row */
+    int row;
+} unicycle_path_line;
+
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
+typedef struct {
+    unicycle_path_line line[2];
+    unicycle_path_line *at[2];
+    double left[2];    /* squared length of at[k]->p */
     double inverse[2]; /* its inverse */
-    int order[2];
+    double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
     int steps;          /* pivots that are not zero */
 } unicycle_path_qr;
 
 /* rest -= along pivot, its squared length. */
-static double unicycle_path_take_out(double *restrict rest, const double *restrict pivot, double along)
+static UNICYCLE_PATH_NEAR double unicycle_path_take_out(double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -427,50 +449,65 @@ static double unicycle_path_take_out(double *restrict rest, const double *restri
     return unicycle_path_inner(rest, rest);
 }
 
-static void unicycle_path_qr_factor(const double *B, unicycle_path_qr *f)
+/* From line[] without its l, and left[], to the rest. */
+static void unicycle_path_qr_reduce(unicycle_path_qr *f)
 {
-    double left[2]; /* squared lengths of what is left of each row */
     int i, k;
-    for (i = 0; i < 4; ++i) {
-        f->P[i] = B[i];
-    }
-    for (i = 0; i < 2; ++i) {
-        left[i] = unicycle_path_inner(B + 2 * i, B + 2 * i);
-        f->total = i == 0 ? left[0] : f->total + left[i];
-        f->order[i] = i;
+    f->total = f->left[0];
+    f->at[0] = f->line;
+    for (i = 1; i < 2; ++i) {
+        f->total += f->left[i];
+        f->at[i] = f->line + i;
     }
     f->steps = 0;
     for (k = 0; k < 2; ++k) {
-        uint64_t best = unicycle_path_magnitude(left[f->order[k]]);
-        const double *pivot;
-        double square, inverse;
-        int at = k;
+        uint64_t best = unicycle_path_magnitude(f->left[k]);
+        unicycle_path_line *pivot;
+        double square;
+        int top = k;
         for (i = k + 1; i < 2; ++i) {
-            const uint64_t other = unicycle_path_magnitude(left[f->order[i]]); /* integers: no branch */
-            at = other > best ? i : at;
+            const uint64_t other = unicycle_path_magnitude(f->left[i]); /* integers: no branch */
+            top = other > best ? i : top;
             best = other > best ? other : best;
         }
-        i = f->order[at];
-        f->order[at] = f->order[k];
-        f->order[k] = i;
-        pivot = f->P + 2 * i;
-        square = left[i];
-        f->L[2 * i + k] = 1.0;
+        pivot = f->at[top];
+        f->at[top] = f->at[k];
+        f->at[k] = pivot;
+        square = f->left[top];
+        f->left[top] = f->left[k];
+        f->left[k] = square;
+        pivot->l[k] = 1.0;
         if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
-        inverse = 1.0 / square;
-        f->square[k] = square;
-        f->inverse[k] = inverse;
+        f->inverse[k] = 1.0 / square;
         for (i = k + 1; i < 2; ++i) {
-            const int row = f->order[i];
-            double *const rest = f->P + 2 * row;
-            const double along = unicycle_path_inner(pivot, rest) * inverse;
-            f->L[2 * row + k] = along;
-            left[row] = unicycle_path_take_out(rest, pivot, along);
+            unicycle_path_line *const rest = f->at[i];
+            rest->l[k] = unicycle_path_inner(pivot->p, rest->p) * f->inverse[k];
+            f->left[i] = unicycle_path_take_out(rest->p, pivot->p, rest->l[k]);
         }
     }
+    for (i = 1, k = 0; i < 2; ++i) {
+        int j;
+        for (j = 0; j < i; ++j, ++k) {
+            f->cross[k] = unicycle_path_inner(f->at[i]->p, f->at[j]->p);
+        }
+    }
+}
+
+static void unicycle_path_qr_factor(const double *B, unicycle_path_qr *f)
+{
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = B[2 * i + j];
+        }
+        f->line[i].unit = 1.0;
+        f->line[i].row = i;
+        f->left[i] = unicycle_path_inner(f->line[i].p, f->line[i].p);
+    }
+    unicycle_path_qr_reduce(f);
 }
 
 /* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
@@ -478,7 +515,7 @@ static void unicycle_path_qr_factor(const double *B, unicycle_path_qr *f)
 static int unicycle_path_qr_certified(const unicycle_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
-    const double *const row_1 = f->L + 2 * f->order[1];
+    const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
     double total = f->total;
@@ -530,16 +567,16 @@ static int unicycle_path_svd(const unicycle_path_qr *f, double *left, double *si
         left[k] = 0.0;
     }
     for (k = 0; k < f->steps; ++k) {
-        const double length = unicycle_path_sqrt(f->square[k]);
+        const double length = unicycle_path_sqrt(f->left[k]);
         for (i = k; i < 2; ++i) {
-            left[2 * k + f->order[i]] = f->L[2 * f->order[i] + k] * length;
+            left[2 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
     }
     for (k = f->steps; k < 2; ++k) {
         sigma[k] = 0.0;
     }
     if (f->steps > 0) {
-        unicycle_path_triangle(left, f->order[0], sigma);
+        unicycle_path_triangle(left, f->at[0]->row, sigma);
     }
     return 1;
 }
@@ -676,6 +713,19 @@ static void unicycle_path_scale(const double *S, const int *exponent, double *B)
     }
 }
 
+/* The exponent of a row's length, that of its largest entry being `exponent`. */
+static int unicycle_path_length(const double *row, int exponent)
+{
+    double shifted[2];
+    double padded[2];
+    int j;
+    for (j = 0; j < 2; ++j) {
+        shifted[j] = unicycle_path_shift(row[j], -exponent);
+    }
+    unicycle_path_spread(shifted, 1.0, padded);
+    return exponent + unicycle_path_exponent(unicycle_path_magnitude(unicycle_path_inner(padded, padded))) / 2;
+}
+
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
 static int unicycle_path_values(unicycle_path_factors *f, double *u)
 {
@@ -746,8 +796,8 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise_svd(const double *S, unic
     return UNICYCLE_PATH_OK;
 }
 
-/* The ladder, from its first step or, if `after_normal`, from the QR. */
-static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle_path_factors *f, int after_normal)
+/* The ladder, from the step `from` on. */
+static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle_path_factors *f, int from)
 {
     int active = 0;
     int top = -16384;
@@ -761,7 +811,7 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle
         }
         f->exponent[i] = -16384;
         if (word.value > 0.0) {
-            f->exponent[i] = unicycle_path_exponent(word.bits);
+            f->exponent[i] = unicycle_path_length(S + 2 * i, unicycle_path_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -775,11 +825,11 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle
         int known = 1;
         f->rank = 2;
         f->path = UNICYCLE_PATH_PATH_NORMAL;
-        if (after_normal || unicycle_path_normal_factor(f->B, &f->normal) != 1) {
+        if (from > UNICYCLE_PATH_PATH_NORMAL || unicycle_path_normal_factor(f->B, &f->normal) != 1) {
             f->path = UNICYCLE_PATH_PATH_QR;
             f->direct = 1;
             unicycle_path_qr_factor(f->B, &f->qr);
-            known = unicycle_path_qr_certified(&f->qr);
+            known = from <= UNICYCLE_PATH_PATH_QR && unicycle_path_qr_certified(&f->qr);
         }
         if (known) {
             return UNICYCLE_PATH_OK;
@@ -888,30 +938,22 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots' remainders are orthogonal to about u kappa only; taking back what each finds
-   of the others in x makes it as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
+   others makes the answer as good as if they were (Bjoerck 1994). */
 static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *restrict r, double *restrict x, int careful)
 {
-    const double *const p_0 = f->P + 2 * f->order[0];
-    const double w_0 = r[f->order[0]];
-    const double *const row_1 = f->L + 2 * f->order[1];
-    const double *const p_1 = f->P + 2 * f->order[1];
-    const double w_1 = r[f->order[1]] - row_1[0] * w_0;
+    const unicycle_path_line *const p_0 = f->at[0];
+    const double w_0 = p_0->unit * r[p_0->row];
+    const unicycle_path_line *const p_1 = f->at[1];
+    const double w_1 = p_1->unit * r[p_1->row] - p_1->l[0] * w_0;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     int j;
-    if (!careful) {
-        for (j = 0; j < 2; ++j) {
-            x[j] = c_0 * p_0[j] + c_1 * p_1[j];
-        }
-        return;
+    if (careful) {
+        c_0 = (w_0 - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 2; ++j) {
-        x[j] = c_1 * p_1[j];
-    }
-    c_0 = (w_0 - unicycle_path_inner(p_0, x)) * f->inverse[0];
-    for (j = 0; j < 2; ++j) {
-        x[j] += c_0 * p_0[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j];
     }
 }
 
@@ -927,7 +969,7 @@ static void unicycle_path_normal_apply(const unicycle_path_normal *f, const doub
 }
 
 /* r = z - B t. */
-static void unicycle_path_residual(const double *B, const double *z, const double *t, double *restrict r)
+static UNICYCLE_PATH_NEAR void unicycle_path_residual(const double *B, const double *z, const double *t, double *restrict r)
 {
     r[0] = z[0] - unicycle_path_inner(B, t);
     r[1] = z[1] - unicycle_path_inner(B + 2, t);
@@ -961,7 +1003,7 @@ static void unicycle_path_apply(const unicycle_path_factors *f, const double *r,
     }
 }
 
-static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info, int after_normal)
+static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info, int from)
 {
     unicycle_path_factors f;
     double zs[2], ys[2], r[2], x[2], answer[2];
@@ -971,7 +1013,7 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
     if (unicycle_path_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && unicycle_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
         return unicycle_path_refuse(UNICYCLE_PATH_NONFINITE, info);
     }
-    status = unicycle_path_factorise(S, &f, after_normal);
+    status = unicycle_path_factorise(S, &f, from);
     if (status < 0) {
         return unicycle_path_refuse(status, info);
     }
@@ -1034,57 +1076,113 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
     return status;
 }
 
-static UNICYCLE_PATH_APART void unicycle_path_report(const double *S, const double *z, const double *y, const double *tau, unicycle_path_info *info)
+static UNICYCLE_PATH_APART void unicycle_path_report(const double *S, const double *z, const double *y, const double *tau, int path, unicycle_path_info *info)
 {
     unicycle_path_factors f;
     (void)unicycle_path_consistent(S, z, y, tau, &info->residual);
-    f.path = UNICYCLE_PATH_PATH_NORMAL;
+    f.path = path;
     info->status = UNICYCLE_PATH_OK;
-    info->path = UNICYCLE_PATH_PATH_NORMAL;
+    info->path = path;
     info->rank = 2;
     info->sweeps = 0;
     info->sigma_min = unicycle_path_sigma_min(S, &f);
 }
 
-/* NORMAL on S as it is: rows need no scaling while their squares stay in range, and the bits are the same. What does not
-   fit ends in a square that is out of range, NaN and infinity too. */
-static int unicycle_path_solve_core(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info)
+/* x = S+ r from the QR if there is one, else from the normal equations. */
+static UNICYCLE_PATH_NEAR void unicycle_path_step(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *B, const double *r, double *x, int careful)
 {
-    unicycle_path_normal f;
+    if (qr != NULL) {
+        unicycle_path_qr_apply(qr, r, x, careful);
+    } else {
+        unicycle_path_normal_apply(normal, B, r, x);
+    }
+}
+
+/* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
+static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *S, const double *B,
+    const double *z, const double *y, double *tau, unicycle_path_info *info)
+{
     double r[2], x[2], step[2];
-    int held, j;
-    const double *const B = S;
-    held = unicycle_path_normal_factor(B, &f);
-    if (held == 1) {
-        if (y == NULL) {
-            unicycle_path_normal_apply(&f, B, z, x);
-        } else {
-            double given[2];
-            unicycle_path_spread(y, 1.0, given);
-            unicycle_path_residual(B, z, given, r);
-            unicycle_path_normal_apply(&f, B, r, x);
-            for (j = 0; j < 2; ++j) {
-                x[j] += given[j];
-            }
+    int j;
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
         }
-        /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
-        unicycle_path_residual(B, z, x, r);
-        unicycle_path_normal_apply(&f, B, r, step);
+    } else {
+        unicycle_path_spread(y, 1.0, step);
+        unicycle_path_residual(B, z, step, r);
+    }
+    unicycle_path_step(normal, qr, B, r, x, 0);
+    if (y != NULL) {
         for (j = 0; j < 2; ++j) {
             x[j] += step[j];
         }
-        if (unicycle_path_within(unicycle_path_inner(x, x), 23, 1923)) {
-            if (info != NULL) {
-                double answer[2];
-                unicycle_path_gather(x, answer);
-                unicycle_path_report(S, z, y, answer, info);
-            }
-            unicycle_path_gather(x, tau);
-            return UNICYCLE_PATH_OK;
-        }
-        held = -1;
     }
-    return unicycle_path_solve_scaled(S, z, y, tau, info, held == 0);
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    unicycle_path_residual(B, z, x, r);
+    unicycle_path_step(normal, qr, B, r, step, 1);
+    for (j = 0; j < 2; ++j) {
+        x[j] += step[j];
+    }
+    if (!unicycle_path_within(unicycle_path_inner(x, x), 23, 1923)) {
+        return 0;
+    }
+    if (info != NULL) {
+        double answer[2];
+        unicycle_path_gather(x, answer);
+        unicycle_path_report(S, z, y, answer, qr != NULL ? UNICYCLE_PATH_PATH_QR : UNICYCLE_PATH_PATH_NORMAL, info);
+    }
+    unicycle_path_gather(x, tau);
+    return 1;
+}
+
+/* The QR of S, its rows brought to a length of 1 to 2. Returns its certificate. */
+static int unicycle_path_qr_scaled(const double *B, unicycle_path_qr *f)
+{
+    uint64_t exponent[2];
+    int i, j;
+    for (i = 0; i < 2; ++i) {
+        f->left[i] = unicycle_path_inner(B + 2 * i, B + 2 * i);
+        exponent[i] = (unicycle_path_biased(f->left[i]) + 1023) / 2; /* of the length */
+    }
+    for (i = 0; i < 2; ++i) {
+        const double unit = unicycle_path_power(1023 - (int)exponent[i]);
+        for (j = 0; j < 2; ++j) {
+            f->line[i].p[j] = unit * B[2 * i + j];
+        }
+        f->line[i].unit = unit;
+        f->line[i].row = i;
+        f->left[i] *= unit * unit;
+    }
+    unicycle_path_qr_reduce(f);
+    return unicycle_path_qr_certified(f);
+}
+
+static UNICYCLE_PATH_APART int unicycle_path_solve_qr(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info)
+{
+    unicycle_path_qr f;
+    const double *const B = S;
+
+    if (unicycle_path_qr_scaled(B, &f) && unicycle_path_answer(NULL, &f, S, B, z, y, tau, info)) {
+        return UNICYCLE_PATH_OK;
+    }
+    return unicycle_path_solve_scaled(S, z, y, tau, info, UNICYCLE_PATH_PATH_QR);
+}
+
+static int unicycle_path_solve_core(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info)
+{
+    unicycle_path_normal f;
+    int held;
+    const double *const B = S;
+
+    held = unicycle_path_normal_factor(B, &f);
+    if (held == 1 && unicycle_path_answer(&f, NULL, S, B, z, y, tau, info)) {
+        return UNICYCLE_PATH_OK;
+    }
+    if (held == 0) {
+        return unicycle_path_solve_qr(S, z, y, tau, info);
+    }
+    return unicycle_path_solve_scaled(S, z, y, tau, info, UNICYCLE_PATH_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
@@ -1093,7 +1191,7 @@ static UNICYCLE_PATH_APART int unicycle_path_pinv_core(const double *S, double *
     unicycle_path_factors f;
     double unit[2], x[2], answer[4];
     int status, i, j;
-    status = unicycle_path_factorise(S, &f, 1);
+    status = unicycle_path_factorise(S, &f, UNICYCLE_PATH_PATH_QR);
     if (status < 0) {
         return unicycle_path_refuse(status, info);
     }

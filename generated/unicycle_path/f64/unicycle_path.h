@@ -18,7 +18,7 @@ enum {
     UNICYCLE_PATH_RANK_DEFICIENT_INCONSISTENT = 2, /* the constraints cannot all be met; least squares, minimum norm */
     UNICYCLE_PATH_REGULARISED = 3, /* close to a singularity, damping changed the answer */
     UNICYCLE_PATH_NONFINITE = -1, /* NaN or infinity among the inputs or parameters; outputs untouched */
-    UNICYCLE_PATH_SINGULAR_MASS = -2, /* the mass matrix Q is singular to working precision; outputs untouched */
+    UNICYCLE_PATH_SINGULAR_MASS = -2, /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     UNICYCLE_PATH_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
     UNICYCLE_PATH_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
 };
@@ -74,7 +74,7 @@ typedef struct {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 6 operations (4 div, 2 fabs).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS where Q is singular: then the model is as it was. */
+   finite, SINGULAR_MASS as above: then the model is as it was. */
 int unicycle_path_prepare(const unicycle_path_params *params, unicycle_path_model *model);
 
 /* psi = psi(q, u, t), holonomic rows psi(q, t), Eqs. (3), (11), [2*1].
@@ -106,7 +106,7 @@ int unicycle_path_S_z(const unicycle_path_model *model, const unicycle_path_inpu
 int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.
-   Cost: 68 operations (34 mul, 19 add, 11 sub, 1 cos, 1 div, 1 sin, 1 sqrt), and the solver: 71 operations (normal equations), at most 381 (SVD, at most 5 sweeps).
+   Cost: 68 operations (34 mul, 19 add, 11 sub, 1 cos, 1 div, 1 sin, 1 sqrt), and the solver: 71 operations (normal equations), at most 371 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info);
 

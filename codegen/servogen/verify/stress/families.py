@@ -423,6 +423,7 @@ def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
     found = certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
+    yield Figure(FALSE_QR, found.false_quick, found.quick)
 
 
 def _every_shape(task: Task, bench: Bench) -> Iterator[Figure]:
