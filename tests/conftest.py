@@ -1,7 +1,6 @@
 """Shared by all tests: what to do where a tool is not installed."""
 
 import importlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -9,13 +8,7 @@ from types import ModuleType
 import pytest
 from servogen.tools import ToolMissing, find_library, find_tool
 from servogen.verify.harness import require_target
-
-
-def _skip_or_fail(missing: object) -> None:
-    """Skips and says why; fails instead where SERVOGEN_REQUIRE_ALL=1 (on machines that must check everything)."""
-    if os.environ.get("SERVOGEN_REQUIRE_ALL") == "1":
-        pytest.fail(f"SERVOGEN_REQUIRE_ALL=1, but {missing}")
-    pytest.skip(str(missing))
+from support.missing import skip_or_fail
 
 
 @pytest.fixture(scope="session")
@@ -26,8 +19,7 @@ def need_tool() -> Callable[[str, str], Path]:
         try:
             return find_tool(name, debian_package)
         except ToolMissing as missing:
-            _skip_or_fail(missing)
-            raise AssertionError from missing
+            skip_or_fail(missing)
 
     return need
 
@@ -40,8 +32,7 @@ def need_library() -> Callable[[str, str, str], Path]:
         try:
             return find_library(find_tool(compiler, compiler), file, debian_package)
         except ToolMissing as missing:
-            _skip_or_fail(missing)
-            raise AssertionError from missing
+            skip_or_fail(missing)
 
     return need
 
@@ -54,7 +45,7 @@ def need_target() -> Callable[..., None]:
         try:
             require_target(target, compiler)
         except ToolMissing as missing:
-            _skip_or_fail(missing)
+            skip_or_fail(missing)
 
     return need
 
@@ -67,7 +58,6 @@ def need_module() -> Callable[[str, str], ModuleType]:
         try:
             return importlib.import_module(name)
         except ImportError:
-            _skip_or_fail(f"{name} is not installed: pip install {package}")
-            raise
+            skip_or_fail(f"{name} is not installed: pip install {package}")
 
     return need

@@ -3,7 +3,6 @@
 import json
 import sys
 
-import pytest
 from servogen.bench import chain
 from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.peers.peers import OUTPUTS, Peers
@@ -42,8 +41,8 @@ def test_peers_of_a_scene_that_are_missing_are_named(monkeypatch):
     assert peers.remarks == ["SymPy is not installed; pip install 'servogen[peers]'"]
 
 
-def test_sympys_code_is_right():
-    pytest.importorskip("sympy")
+def test_sympys_code_is_right(need_module):
+    need_module("sympy", "sympy")
     peers = Peers(scene_module("double_pendulum_energy"), ("-O2",), ablation=False)
     scene = load_scene("double_pendulum_energy")
     result = bench(scene, rounds=1, states=16, contenders=peers, count_instructions=False)

@@ -14,6 +14,7 @@ import pytest
 import servogen as sg
 from servogen.loading import builtin_names, load_scene
 from support.c import STRICT, compiler, run
+from support.missing import skip_or_fail
 from support.models import awkward_scenes
 
 SCALARS = ("float64", "float32")
@@ -131,7 +132,7 @@ def test_float_means_float(packages: list[sg.Package], tmp_path: Path) -> None:
     probe = tmp_path / "probe.c"
     probe.write_text("#include <math.h>\n")
     if subprocess.run([gcc, "-fsyntax-only", str(probe)], capture_output=True).returncode != 0:
-        pytest.skip("arm-none-eabi-gcc has no C library; apt-get install libnewlib-arm-none-eabi")
+        skip_or_fail("arm-none-eabi-gcc has no C library; apt-get install libnewlib-arm-none-eabi")
     compile_all([gcc, *flags, "-c"], sources(singles), tmp_path)
     needed: set[str] = set()
     for p in singles:

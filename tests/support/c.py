@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-import pytest
+from support.missing import skip_or_fail
 
 STRICT = tuple(
     "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wmissing-prototypes -Wshadow -Werror".split()
@@ -14,10 +14,7 @@ STRICT = tuple(
 
 def compiler(name: str) -> str:
     """The path of a compiler; the test is skipped where it is missing."""
-    found = shutil.which(name)
-    if found is None:
-        pytest.skip(f"{name} is not installed")
-    return found
+    return shutil.which(name) or skip_or_fail(f"{name} is not installed")
 
 
 def run(argv: Sequence[str | Path]) -> str:

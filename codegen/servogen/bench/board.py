@@ -30,8 +30,7 @@ from servogen.verify.vectors import literal
 
 STATES = 64
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
-SCENES = ("double_pendulum_energy", "spacecraft", "iiwa")
-IIWA = Path(__file__).parents[1] / "scenes" / "robots" / "iiwa_position.py"
+SCENES = ("double_pendulum_energy", "spacecraft", "iiwa_position")
 AS_EMITTED, MENDED = "CasADi as emitted", "CasADi mended by hand"
 
 
@@ -243,7 +242,7 @@ def main() -> int:
     given = parser.parse_args()
     good = True
     for name in given.scenes:
-        scene = load_scene(str(IIWA) if name == "iiwa" else name)
+        scene = load_scene(name)
         for label, counts in against_casadi(scene, given.target).items():
             ours, emitted, mended = (counts[who].mean for who in ("servogen", AS_EMITTED, MENDED))
             good &= emitted >= 8 * ours and mended >= 1.5 * ours

@@ -1,5 +1,6 @@
 """`servogen`: the command."""
 
+import subprocess
 import sys
 from typing import NoReturn
 
@@ -14,6 +15,7 @@ from servogen.cli.report import report_command
 from servogen.cli.simulate import simulate_command
 from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
+from servogen.simulate.board import BoardRunError
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompilerRefused
 from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
@@ -58,8 +60,11 @@ def main() -> None:
         _end(error.format_message(), WRONG_INPUT, said=not _as_json())
     except (SceneError, ToolMissing, VectorsTooLarge, OSError) as error:
         _end(str(error), WRONG_INPUT)
-    except (HarnessBuildError, CompilerRefused) as error:
+    except (HarnessBuildError, CompilerRefused, BoardRunError) as error:
         _end(str(error), FAILED)
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode(errors="replace") if isinstance(error.stderr, bytes) else error.stderr or ""
+        _end(f"{error.cmd[0]} failed with exit code {error.returncode}\n{said.strip()}".strip(), FAILED)
     sys.exit(code if isinstance(code, int) else GOOD)
 
 

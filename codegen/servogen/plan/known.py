@@ -13,6 +13,7 @@ from servogen.plan.module import Kernel, Known, Result
 from servogen.plan.solver import Operations, SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.results import Status
+from servogen.singular import pseudo_solution, smallest_singular_value
 
 
 def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | None:
@@ -40,15 +41,19 @@ def _renamed(program: Program, name: str) -> Program:
 
 
 def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
-    """Exact rationals, unless the solver's tolerances or damping ask for another answer than the exact one."""
+    """Exact rationals, or 50 digits where the solver's tolerances or damping ask for another answer than the exact one.
+
+    Nothing printed depends on the host's LAPACK.
+    """
     m, l = solver.m, solver.l
     matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
     values = exact.nearest(matrix)
-    inverse, info = textbook_solver.pinv(values, solver)
+    _, info = textbook_solver.pinv(values, solver)
     if info.rank == exact.rank(matrix) and info.status != Status.REGULARISED:
         entries = exact.pinv(matrix)
         numbers = [Fraction(int(q.p), int(q.q)) for q in (entries[i, j] for i in range(l) for j in range(m))]
     else:
-        numbers = [Fraction(float(x)) for x in inverse.ravel()]
-    sigma_min = float(np.linalg.svd(values, compute_uv=False)[-1])
+        columns = [pseudo_solution(values, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
+        numbers = [Fraction(float(column[i])) for i in range(l) for column in columns]
+    sigma_min = smallest_singular_value(values) if exact.rank(matrix) == min(m, l) else 0.0
     return Known("generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)

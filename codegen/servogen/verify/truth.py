@@ -26,10 +26,10 @@ from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
+from servogen.singular import pseudo_solution
 from servogen.twins.interface import ControlsTwin
 from servogen.twins.reference import reference
 from servogen.verify.projection import Projection
-from servogen.verify.singular import pseudo_solution
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS, EntryVectors, OutputVectors, VectorSet
 
 BAR = 8.0

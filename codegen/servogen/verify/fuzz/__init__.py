@@ -42,11 +42,12 @@ class Fuzzed:
     seconds: float
     executions: int
     input: str
+    exit_code: int
     words: str
 
     @property
     def passed(self) -> bool:
-        return not self.input and self.executions > 0
+        return not self.input and self.exit_code == 0 and self.executions > 0
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self) | {"passed": self.passed}
@@ -104,6 +105,7 @@ def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzze
             usage.ru_utime + usage.ru_stime,
             int(executions[1]) if executions else 0,
             failed[0].read_bytes().hex() if failed else "",
+            os.waitstatus_to_exitcode(code),
             "\n".join(said.splitlines()[-40:]) if code else "",
         )
 

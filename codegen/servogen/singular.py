@@ -29,6 +29,13 @@ def pseudo_solution(
     return tau, kappa
 
 
+def smallest_singular_value(S: FloatArray) -> float:
+    """sigma_min of a matrix (m, l)."""
+    with mp.workdps(DIGITS):
+        A = mp.matrix(np.asarray(S, dtype=float).tolist())
+        return float(min(mp.svd_r(A if A.rows >= A.cols else A.T, compute_uv=False)))
+
+
 def _transposed(A: Any) -> tuple[Any, Any, Any]:
     """svd_r wants at least as many rows as columns."""
     U, sigma, V = mp.svd_r(A.T)
