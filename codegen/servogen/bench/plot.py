@@ -42,7 +42,7 @@ def _figure(bench: Bench) -> Figure:
     panels = figure.subplots(1, len(outputs), sharex=True, sharey=True, squeeze=False)[0]
     low, high = _limits(bench.measurements)
     for axes, output in zip(panels, outputs, strict=True):
-        rows = [m for m in bench.measurements if m.output is output]
+        rows = [m for m in bench.measurements if m.output is output and not m.aside]
         _axes(axes, bench, output)
         axes.set_xlim(*_time_limits(bench.measurements))
         axes.set_ylim(low, high)
