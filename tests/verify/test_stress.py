@@ -132,6 +132,14 @@ def test_an_interrupt_loses_nothing_finished(tmp_path):
     assert all(json.loads(line) for line in lines)
 
 
+def test_a_damaged_journal_is_put_aside(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    journal.Journal(path, 1).write("a task", [1])
+    path.write_text(path.read_text().replace("[1]", "[1"))
+    assert journal.Journal(path, 1).found == {}
+    assert (tmp_path / "journal.jsonl.old").exists()
+
+
 def test_a_journal_of_another_seed_is_put_aside(tmp_path):
     path = tmp_path / "journal.jsonl"
     journal.Journal(path, 1).write("a task", [1])

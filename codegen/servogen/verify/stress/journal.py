@@ -11,7 +11,8 @@ import servogen
 class Journal:
     """Finished pieces by name. With a path, every one is on disk before the next begins; without, in memory only.
 
-    A journal of other code or another seed is put aside (its name gains `.old`), and so is a damaged one: its figures are not this code's.
+    A journal of other code or another seed, or a damaged one, is put aside (its name gains `.old`): its figures are not
+    this code's.
     """
 
     def __init__(self, path: Path | None, seed: int) -> None:
