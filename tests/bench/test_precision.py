@@ -41,10 +41,14 @@ def test_times_and_errors_are_what_they_should_be(found):
 def test_refinement_is_cut_and_nothing_else(tmp_path):
     plain, bare = (v for v in contenders.variants("float64") if v.prefix in ("qr", "qr_bare"))
     text = contenders.generate(3, 4, "float64", plain, tmp_path).read_text()
-    cut = contenders.generate(3, 4, "float64", bare, tmp_path).read_text().replace("qr_bare", "qr")
-    different = [(a, b) for a, b in zip(text.splitlines(), cut.splitlines(), strict=True) if a.lower() != b.lower()]
-    assert different
-    assert all("+=" in a and b.strip() == "(void)j;" for a, b in different if "include" not in a and "_BARE" not in b)
+    cut = contenders.generate(3, 4, "float64", bare, tmp_path).read_text()
+    assert "/* refined once" in text
+    assert "/* refined once" not in cut
+    left = iter(text.lower().splitlines())
+    assert all(
+        line in left for line in cut.lower().replace("qr_bare", "qr").splitlines()
+    )  # lines are gone, and nothing else
+    assert len(cut.splitlines()) > len(text.splitlines()) - 30
 
 
 def test_errors_are_relative_and_exact():

@@ -16,6 +16,7 @@ from servogen.ir.program import Program, check_legal
 from servogen.loading import load_scene
 from servogen.optimise.passes import optimise
 from servogen.plan.module import Module
+from servogen.plan.planner import AFFINE_CAP, PROJECTION_CAP
 from servogen.plan.stage import Staged, cut, stage
 from support.models import awkward_scenes, random_scene
 from support.programs import TAME, examples, programs, random_states
@@ -140,10 +141,12 @@ def test_entry_points() -> None:
     module = compiled(scenes["one_cubic"])
     assert [e.name for e in module.entry_points] == ["phi", "A", "B", "A_B"]
     assert module.control is not None
-    assert module.control.projection_cap > 1
+    assert module.control.curvature == ((0, 0, 0),)  # d^2 phi / d tau^2
+    assert module.control.projection_cap == PROJECTION_CAP
     affine = compiled(scenes["one_control"]).control
     assert affine is not None
-    assert affine.projection_cap == 1
+    assert affine.curvature == ()
+    assert affine.projection_cap == AFFINE_CAP
 
 
 def test_every_skip_is_said() -> None:

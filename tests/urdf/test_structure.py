@@ -1,13 +1,18 @@
 """What the recursions save, and how a robot is read: locked joints, order, quarter turns, operation counts."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import pytest
 import servogen as sg
+from servogen.bench.peers.robots import adam_scene
+from servogen.compiler import compile_scene, target_for
 from servogen.derive.lower import lower
 from servogen.derive.servo import derive_servo
+from servogen.loading import scene_module
 from servogen.optimise.passes import optimise
 from servogen.plan.stage import cut, stage
 from support.robots import A1, IIWA, IIWA_TOOL
@@ -21,6 +26,22 @@ def test_operations_of_the_iiwa() -> None:
     scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
     tick = stage(optimise(lower(derive_servo(scene)))).tick
     assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1090
+
+
+def test_operations_of_the_built_in_scene() -> None:
+    """The test of the pivots and the reference's rates included, as its package says."""
+    manifest = Path(__file__).parents[2] / "generated" / "iiwa_position" / "f64" / "manifest.json"
+    assert json.loads(manifest.read_text())["entry_points"]["S_z"]["operations"]["total"] <= 1100
+
+
+def test_adams_model_of_the_iiwa_loses_most_of_its_operations() -> None:
+    """What a user pastes: 10,188 operations as CasADi writes them, and noise of quarter turns in the constants."""
+    pytest.importorskip("adam")
+    scene = adam_scene(scene_module("iiwa_position"))
+    kernel = next(
+        e.kernel for e in compile_scene(scene, target_for("p", "float64", None)).entry_points if e.name == "S_z"
+    )
+    assert kernel.program.operations()["total"] <= 2300
 
 
 def test_a_rotor_costs_no_sine() -> None:

@@ -12,6 +12,8 @@ TEXT = """static void f(int n, int rank)
         }
         for (k = i; k > 0 && x[k] < 2; --k) {
         }
+        for (j = 0; j < i; ++j, ++k) {
+        }
     }
     for (k = rank - 1; k >= 0; --k) { /* a remark */
     }
@@ -31,8 +33,9 @@ static void g(void)
 
 def test_limits_are_read_from_the_source():
     loops = loops_of(TEXT, {"rank": 6})
-    assert [loop.turns for loop in loops] == [3, 5, 3, 6, 8, 64]
-    assert [(loop.first, loop.last) for loop in loops] == [(3, 8), (4, 5), (6, 7), (9, 10), (11, 12), (13, 14)]
+    assert [loop.turns for loop in loops] == [3, 5, 3, 3, 6, 8, 64]
+    ends = [(3, 10), (4, 5), (6, 7), (8, 9), (11, 12), (13, 14), (15, 16)]
+    assert [(loop.first, loop.last) for loop in loops] == ends
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,7 @@ def test_seconds_of_fuzzing_find_nothing(clang):
 
 def test_a_solver_that_writes_a_nan_is_found(clang, tmp_path, monkeypatch):
     """The fuzzer proves that it can fail: the test for infinity made deaf."""
-    import servogen.compiler as compiler
-
-    genuine = compiler.build_solver
+    genuine = fuzz.build_solver
 
     def spoilt(*args, **options):
         package = genuine(*args, **options)
@@ -34,7 +32,7 @@ def test_a_solver_that_writes_a_nan_is_found(clang, tmp_path, monkeypatch):
         source.write_text(spoiled)
         return package
 
-    monkeypatch.setattr(compiler, "build_solver", spoilt)
+    monkeypatch.setattr(fuzz, "build_solver", spoilt)
     found = fuzz.run_target(clang, fuzz.Target(1, 2, "float64", "default"), seconds=4, seed=1)
     assert not found.passed
     assert found.input

@@ -19,6 +19,7 @@ from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.report.stress import CLAIMS, render_stress
 from servogen.results import Info
+from servogen.tools import ToolMissing
 from servogen.verify import stress
 from servogen.verify.stress import bars, core, journal, matrices
 
@@ -129,6 +130,14 @@ def test_an_interrupt_loses_nothing_finished(tmp_path):
     lines = path.read_text().splitlines()
     assert len(lines) >= 4
     assert all(json.loads(line) for line in lines)
+
+
+def test_a_damaged_journal_is_put_aside(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    journal.Journal(path, 1).write("a task", [1])
+    path.write_text(path.read_text().replace("[1]", "[1"))
+    assert journal.Journal(path, 1).found == {}
+    assert (tmp_path / "journal.jsonl.old").exists()
 
 
 def test_a_journal_of_another_seed_is_put_aside(tmp_path):
@@ -279,3 +288,11 @@ def test_an_error_in_a_process_reaches_the_caller():
 
 def broken(m, l, scalar, solver):
     raise ZeroDivisionError
+
+
+def test_a_missing_compiler_is_said_before_the_hours(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(ToolMissing, match="apt-get install"):
+        stress.stress(broken, systems=5, shapes=((2, 3),), families=("dlatms spectra", "certificates"))
+    with pytest.raises(ToolMissing, match="apt-get install clang"):
+        stress.stress(broken, systems=5, shapes=((2, 3),), families=("dlatms spectra",), fuzzing=10)

@@ -42,7 +42,7 @@ def _figure(bench: Bench) -> Figure:
     panels = figure.subplots(1, len(outputs), sharex=True, sharey=True, squeeze=False)[0]
     low, high = _limits(bench.measurements)
     for axes, output in zip(panels, outputs, strict=True):
-        rows = [m for m in bench.measurements if m.output is output]
+        rows = [m for m in bench.measurements if m.output is output and not m.aside]
         _axes(axes, bench, output)
         axes.set_xlim(*_time_limits(bench.measurements))
         axes.set_ylim(low, high)
@@ -124,22 +124,23 @@ def _label(m: Measurement) -> str:
 
 
 def _time(nanoseconds: float) -> str:
-    return f"{nanoseconds:.3g} ns" if nanoseconds < 999.5 else f"{nanoseconds / 1000:.3g} us"
+    unit, name = next(
+        (u, n) for u, n in ((1.0, "ns"), (1e3, "us"), (1e6, "ms")) if nanoseconds < 999.5 * u or n == "ms"
+    )
+    return f"{nanoseconds / unit:.3g} {name}"
 
 
 def _spread(spots: Sequence[tuple[float, float]]) -> list[float]:
-    """Heights of the labels: each at its marker's, then pushed apart, group by group (left and right apart)."""
+    """Heights of the labels: each at its marker's, then pushed apart, group by group."""
     heights = [y for _, y in spots]
-    for side in (False, True):
-        chosen = sorted((k for k, s in enumerate(spots) if bool(s[0] > 0.62) is side), key=lambda k: (spots[k][1], k))
-        groups: list[list[int]] = []
-        for k in chosen:
-            groups.append([k])
-            while len(groups) > 1 and _bottom(groups[-1], spots) < _top(groups[-2], spots):
-                groups[-2:] = [groups[-2] + groups[-1]]
-        for group in groups:
-            for k, height in zip(group, _stack(group, spots), strict=True):
-                heights[k] = height
+    groups: list[list[int]] = []
+    for k in sorted(range(len(spots)), key=lambda k: (spots[k][1], k)):
+        groups.append([k])
+        while len(groups) > 1 and _bottom(groups[-1], spots) < _top(groups[-2], spots):
+            groups[-2:] = [groups[-2] + groups[-1]]
+    for group in groups:
+        for k, height in zip(group, _stack(group, spots), strict=True):
+            heights[k] = height
     return heights
 
 

@@ -106,7 +106,10 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One contender and output. instructions: None for Python contenders and where valgrind is missing."""
+    """One contender and output. instructions: None for Python contenders and where valgrind is missing.
+
+    aside: for the tables, not for the picture.
+    """
 
     contender: str
     scalar: Scalar
@@ -117,6 +120,7 @@ class Measurement:
     errors: Errors
     instructions: Instructions | None
     boundary: Boundary
+    aside: bool = False
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,7 @@ def bench(
             errors=judge(answers[c.name, output][0], truths[c.scalar][output], c.scalar),
             instructions=counts.get((c.name, output)),
             boundary=count_answers(names, *at_edge[c.name, output]),
+            aside=isinstance(c, CContender) and c.aside,
         )
         for c in chosen
         for output in c.calls

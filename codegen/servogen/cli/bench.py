@@ -78,6 +78,10 @@ def bench_command(
 
     Exit code 1 if code of ours hands out a NaN or an infinity without a word.
     """
+    if solver and (scenes or every or peers or compiler):
+        raise click.UsageError("--solver is of no scene: leave out SCENE, --all, --peers and --compiler")
+    if shapes and not solver:
+        raise click.UsageError("--shape belongs to --solver; add it, or leave --shape out")
     if solver:
         bench_solver(folder / "solver", shapes, rounds, as_json)
         return
@@ -130,8 +134,8 @@ def _point(p: Point) -> tuple[str, ...]:
 
 def _shape(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d+)x(\d+)", text)
-    if found is None or not all(1 < int(n) <= 12 for n in found.groups()):
-        raise click.BadParameter(f"{text!r}: give rows and columns from 2 to 12, like 3x7", param_hint="--shape")
+    if found is None or not 2 <= int(found[1]) <= int(found[2]) <= 12:
+        raise click.BadParameter(f"{text!r}: give 2 to 12 rows and no fewer columns, like 3x7", param_hint="--shape")
     return int(found[1]), int(found[2])
 
 

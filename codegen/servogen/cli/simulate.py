@@ -11,7 +11,7 @@ from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, prog
 from servogen.cli.generate import scalar_option
 from servogen.errors import SceneError
 from servogen.loading import load_simulation
-from servogen.results import FloatArray, Status
+from servogen.results import Status
 from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
@@ -138,7 +138,7 @@ def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
         "largest_tau": float(np.max(np.abs(trajectory.tau))) if some else 0.0,
         "smallest_sigma_min": float(np.min(trajectory.sigma_min)) if some else 0.0,
         "constraint_error": float(np.max(np.abs(trajectory.constraint - trajectory.ideal))) if some else 0.0,
-        "decay_error": {n: _relative(trajectory.outputs[n], ideal) for n, ideal in trajectory.decay.items() if some},
+        "decay_error": trajectory.decay_error,
         "statuses": {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)},
     }
 
@@ -151,10 +151,6 @@ def _ends(trajectory: Trajectory, row: int) -> dict[str, Any]:
         trajectory.constraint_name: trajectory.constraint,
     }
     return {n: v[row] for n, v in vectors.items()} | {n: float(v[row]) for n, v in trajectory.outputs.items()}
-
-
-def _relative(values: FloatArray, ideal: FloatArray) -> float:
-    return float(np.max(np.abs(values - ideal) / np.maximum(np.abs(ideal), np.finfo(float).tiny)))
 
 
 def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Path]) -> None:

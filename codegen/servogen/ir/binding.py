@@ -1,12 +1,10 @@
 """Binding times: which values are known once the parameters are."""
 
-from fractions import Fraction
-
 from servogen.ir.program import Program
 
 
 def is_constant(program: Program, k: int) -> bool:
-    return isinstance(program.instrs[k].const, Fraction)
+    return program.instrs[k].op == "const"
 
 
 def depends_on_parameters_alone(program: Program) -> list[bool]:
@@ -14,7 +12,8 @@ def depends_on_parameters_alone(program: Program) -> list[bool]:
     kinds = {i.name: i.kind for i in program.inputs}
     result: list[bool] = []
     for k, instr in enumerate(program.instrs):
-        if isinstance(instr.const, tuple):
+        if instr.op == "input":
+            assert isinstance(instr.const, tuple)
             result.append(kinds[instr.const[0]] == "parameter")
         elif is_constant(program, k):
             result.append(False)

@@ -117,9 +117,8 @@ def check_legal(program: Program) -> Program:
     if len({o.name for o in program.outputs}) != len(program.outputs):
         raise IllegalProgramError(f"program {program.name}: two outputs share a name")
     for k, instr in enumerate(program.instrs):
-        where = f"program {program.name}, instruction {k}: {instr.op}"
         if any(not 0 <= a < k for a in instr.args):
-            raise IllegalProgramError(f"{where} refers to an instruction that is not before it")
+            raise IllegalProgramError(f"{_place(program, k)} refers to an instruction that is not before it")
         if instr.op == "input":
             legal = isinstance(instr.const, tuple) and 0 <= instr.const[1] < sizes.get(instr.const[0], 0)
             legal = legal and not instr.args
@@ -128,13 +127,17 @@ def check_legal(program: Program) -> Program:
         else:
             legal = instr.op in OPS and len(instr.args) == OPS[instr.op].arity and instr.const is None
         if not legal:
-            raise IllegalProgramError(f"{where} {instr.args} {instr.const} is not legal")
+            raise IllegalProgramError(f"{_place(program, k)} {instr.args} {instr.const} is not legal")
     for o in program.outputs:
         if len(o.nodes) != o.size or any(not 0 <= n < len(program.instrs) for n in o.nodes):
             raise IllegalProgramError(
                 f"program {program.name}: output {o.name} is not {o.rows}x{o.columns} instructions"
             )
     return program
+
+
+def _place(program: Program, k: int) -> str:
+    return f"program {program.name}, instruction {k}: {program.instrs[k].op}"
 
 
 def live(program: Program, roots: Iterable[int]) -> set[int]:

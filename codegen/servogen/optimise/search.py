@@ -5,12 +5,13 @@ A new pass is one more entry in SEARCH and its place in ORDERS. passes.py simpli
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from servogen.ir.program import Program, check_legal
-from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
+from servogen.optimise.accuracy import TOLERATED, Accuracy, draw_inputs, mix
 from servogen.optimise.cost import Objective, tick_operations
+from servogen.optimise.early import early_part, with_early_part
 from servogen.optimise.factor import factor
 from servogen.optimise.horner import horner
 from servogen.optimise.pairs import share_pairs
@@ -85,7 +86,21 @@ def search(
     accuracy = Accuracy.of(start, states)
     orders = ORDERS if tick_operations(start) <= _SMALL else ORDERS[:1]
     found = [_in_order(start, [n for n in order if n not in without], objective, accuracy) for order in orders]
-    return min(found, key=lambda done: objective.cost(done.program))
+    return _with_early_part(min(found, key=lambda done: objective.cost(done.program)), objective, accuracy, without)
+
+
+def _with_early_part(done: Optimised, objective: Objective, accuracy: Accuracy, without: frozenset[str]) -> Optimised:
+    """What parameters alone decide, searched by itself."""
+    part = early_part(done.program)
+    if part is None:
+        return done
+    states = draw_inputs(part)
+    as_inputs = replace(part, inputs=tuple(replace(i, kind="input") for i in part.inputs))
+    found = optimise(check_legal(with_early_part(done.program, search(as_inputs, states, without=without).program)))
+    if objective.cost(found) >= objective.cost(done.program) or accuracy.worse(found):
+        return done
+    step = Step("values of parameters", tick_operations(done.program), tick_operations(found))
+    return Optimised(found, (*done.steps, step))
 
 
 def _in_order(best: Program, order: list[str], objective: Objective, accuracy: Accuracy) -> Optimised:

@@ -2,27 +2,23 @@
 
 from collections.abc import Sequence
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from servogen.report.templates import pages
 from servogen.verify.certificate import Certificate
 from servogen.version import VERSION
 
 
 def render_certificates(certificates: Sequence[Certificate], problems: Sequence[str]) -> str:
     """The HTML of certificates: scene x board x scalar at a glance, then each function of each."""
-    templates = Environment(
-        loader=PackageLoader("servogen.report", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=True,
-    )
-    return templates.get_template("certificates.html.j2").render(
-        certificates=certificates,
-        boards=list(dict.fromkeys(c.target for c in certificates)),
-        rows=list(dict.fromkeys((c.scene, c.scalar) for c in certificates)),
-        cells={(c.scene, c.scalar, c.target): c for c in certificates},
-        answer=lambda c: next(e for e in c.entries if e.name == "control"),
-        problems=problems,
-        version=VERSION,
+    return (
+        pages()
+        .get_template("certificates.html.j2")
+        .render(
+            certificates=certificates,
+            boards=list(dict.fromkeys(c.target for c in certificates)),
+            rows=list(dict.fromkeys((c.scene, c.scalar) for c in certificates)),
+            cells={(c.scene, c.scalar, c.target): c for c in certificates},
+            answer=lambda c: next(e for e in c.entries if e.name == "control"),
+            problems=problems,
+            version=VERSION,
+        )
     )

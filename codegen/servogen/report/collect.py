@@ -159,7 +159,7 @@ def _scene_report(
         call=_call(packages["float64"]),
         trajectory=trajectory,
         ending=_ending(trajectory, simulation),
-        decay_error={n: _relative(trajectory.outputs[n], ideal) for n, ideal in trajectory.decay.items()},
+        decay_error=trajectory.decay_error,
         motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
         bench=measured,
         speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error"),
@@ -202,12 +202,6 @@ def _single(points: Sequence[Precision], duration: float) -> str:
         f"At best, whatever the step, q and u are off by {double:.2g} in float64 and by {single:.2g} in float32 after "
         f"{duration:.3g} s. Where the curve of float32 turns back, smaller steps only add rounding."
     )
-
-
-def _relative(values: Any, ideal: Any) -> float:
-    """Largest relative deviation from the ideal decay."""
-    scale = np.maximum(np.abs(ideal), np.finfo(float).tiny)
-    return float(np.max(np.abs(values - ideal) / scale))
 
 
 def _call(package: Package) -> str:

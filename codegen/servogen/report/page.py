@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from servogen.bench.results import Bench, Measurement, Output
 from servogen.plan.module import mix_of
 from servogen.report.collect import Report
 from servogen.report.sparsity import COLOURS, WORDS
+from servogen.report.templates import pages
 from servogen.results import Status
 from servogen.verify.check import OutputCheck
 from servogen.verify.truth import BAR
@@ -16,25 +15,23 @@ from servogen.version import VERSION
 
 def render_page(report: Report) -> str:
     """The HTML of a report."""
-    templates = Environment(
-        loader=PackageLoader("servogen.report", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=True,
-    )
-    templates.filters["figure"] = _figure
-    return templates.get_template("report.html.j2").render(
-        report=report,
-        version=VERSION,
-        bar=BAR,
-        mix=mix_of,
-        summary=_summary(report),
-        checks=_checks,
-        bench_rows=_bench_rows,
-        solver_text=_solver_text,
-        statuses=_statuses,
-        legend=[(COLOURS[kind], words) for kind, words in WORDS.items()],
+    pages().filters["figure"] = _figure
+    return (
+        pages()
+        .get_template("report.html.j2")
+        .render(
+            report=report,
+            version=VERSION,
+            bar=BAR,
+            mix=mix_of,
+            summary=_summary(report),
+            checks=_checks,
+            histogram=_histogram,
+            bench_rows=_bench_rows,
+            solver_text=_solver_text,
+            statuses=_statuses,
+            legend=[(COLOURS[kind], words) for kind, words in WORDS.items()],
+        )
     )
 
 
@@ -69,6 +66,14 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
     for scene in report.scenes:
         rows.append((f"{scene.name} in closed loop", str(scene.trajectory.stop), not scene.trajectory.stop.failed))
     return rows
+
+
+def _histogram(check: OutputCheck) -> str:
+    """Shares of an output's values by their error, to the last bin that is filled."""
+    total = max(sum(check.histogram), 1)
+    filled = max((k for k, n in enumerate(check.histogram) if n), default=0)
+    shares = [100 * n / total for n in check.histogram[: filled + 1]]
+    return " ".join("0" if s == 0 else "<0.1 %" if s < 0.1 else f"{s:.3g} %" for s in shares)
 
 
 def _checks(report: Report, scene: str) -> list[OutputCheck]:

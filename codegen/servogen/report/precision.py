@@ -4,22 +4,14 @@ import base64
 from collections.abc import Mapping
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from servogen.bench.solver.precision import Precision
+from servogen.report.templates import pages
 
 
 def render_precision(found: Precision, figures: Mapping[tuple[str, str], Path]) -> str:
     """The HTML, one file without network. figures: (shape, scalar) -> SVG."""
-    templates = Environment(
-        loader=PackageLoader("servogen.report", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=True,
-    )
     encoded = {key: base64.b64encode(path.read_bytes()).decode() for key, path in figures.items()}
     uris = {key: f"data:image/svg+xml;base64,{text}" for key, text in encoded.items()}
     conditions = {key: sorted({p.kappa for p in found.points if (p.shape, p.scalar) == key}) for key in figures}
-    template = templates.get_template("precision.html.j2")
+    template = pages().get_template("precision.html.j2")
     return template.render(found=found, figures=uris, conditions=conditions)

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from servogen.report.templates import pages
 from servogen.verify.stress.bars import (
     BITS,
     CAPPED,
@@ -77,14 +76,7 @@ def claims(rows: Sequence[StressRow]) -> list[Claim]:
 
 def render_stress(report: StressReport) -> str:
     """The HTML of a stress run, one file without network."""
-    templates = Environment(
-        loader=PackageLoader("servogen.report", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=True,
-    )
     families: dict[str, list[StressRow]] = {}
     for row in report.rows:
         families.setdefault(row.family, []).append(row)
-    return templates.get_template("stress.html.j2").render(report=report, claims=claims(report.rows), families=families)
+    return pages().get_template("stress.html.j2").render(report=report, claims=claims(report.rows), families=families)

@@ -99,7 +99,7 @@ def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem
     """Run time against error, both logarithmic; one curve a method and scalar. Returns the PNG."""
     marks = {"rk4": "o", "dop8": "s"}
     colours = {"float64": "#0072B2", "float32": "#D55E00"}
-    with matplotlib.rc_context({"font.size": 11, "legend.frameon": False}):
+    with matplotlib.rc_context({"font.size": 11, "legend.frameon": False, "svg.hashsalt": "servogen"}):
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         axis = figure.subplots()

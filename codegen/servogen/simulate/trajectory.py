@@ -75,6 +75,16 @@ class Trajectory:
         return SYSTEMS[self.kind].constraint
 
     @property
+    def decay_error(self) -> dict[str, float]:
+        """By output, the largest relative deviation from what it ought to be."""
+        tiny = np.finfo(float).tiny
+        return {
+            n: float(np.max(np.abs(self.outputs[n] - ideal) / np.maximum(np.abs(ideal), tiny)))
+            for n, ideal in self.decay.items()
+            if len(ideal)
+        }
+
+    @property
     def psi(self) -> FloatArray:
         """psi (N, m) of a servo scene."""
         if self.kind == "controls":

@@ -5,6 +5,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from servogen.compiler import build_solver
 from servogen.plan.solver import plan_solver
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.solver import Solver
@@ -32,8 +33,6 @@ class Certificates:
 
 def certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) -> Certificates:
     """Counts for one shape, 2 <= m <= l. Raises ToolMissing without gcc (its __float128 decides)."""
-    from servogen.compiler import build_solver
-
     if not 2 <= m <= l:
         raise ValueError(f"{m} x {l}: certificates are those of wide shapes of two rows or more")
     compiler = find_tool("gcc", "gcc")

@@ -157,7 +157,9 @@ def coverage(
             prefix = source.stem
             for line in _gcov(source):
                 for k, branch in enumerate(line["branches"]):
-                    where = _shapeless(text[line["line_number"] - 1].strip().replace(prefix, "p"))
+                    where = _shapeless(
+                        text[line["line_number"] - 1].strip().replace(prefix.upper(), "P").replace(prefix, "p")
+                    )
                     key = (where, k, len(line["branches"]))
                     counts[key] = counts.get(key, 0) + branch["count"]
                     lines[key] = (line.get("function_name", "").replace(prefix, "p"), line["line_number"], where)

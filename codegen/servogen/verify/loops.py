@@ -44,25 +44,25 @@ def loops_of(text: str, sizes: Mapping[str, int]) -> tuple[Loop, ...]:
 def _turns(kind: str, head: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]) -> int:
     parts = [part.strip() for part in head.split(";")]
     if kind == "for" and len(parts) == 3:
-        start, condition, step = parts
+        start, condition, steps = parts[0], parts[1], parts[2].split(", ")
         for part in condition.split(" && "):
             if not (limit := _LIMIT.match(part)):
                 continue
             name, relation, value = limit.groups()
             most = None
-            if step == f"++{name}" and relation in ("<", "<="):
-                most = _value(value, number, lines, sizes)
-            elif step == f"--{name}" and relation in (">", ">=") and value == "0":
-                most = _first(start.split(" = ")[-1], number, lines, sizes, found)
+            if f"++{name}" in steps and relation in ("<", "<="):
+                most = _most(value, number, lines, sizes, found)
+            elif f"--{name}" in steps and relation in (">", ">=") and value == "0":
+                most = _most(start.split(" = ")[-1], number, lines, sizes, found)
             if most is not None:
                 return most + relation.endswith("=")
-            if step == f"{name} >>= 1" and (relation, value) == ("!=", "0"):
+            if steps == [f"{name} >>= 1"] and (relation, value) == ("!=", "0"):
                 return 64  # bits of the widest word
     raise LoopUnboundedError(f"line {number}: {kind} ({head}): its limit is neither a number nor a dimension known")
 
 
-def _first(text: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]) -> int | None:
-    """The largest value a loop that counts down may start with: a dimension, or the counter of a loop around it."""
+def _most(text: str, number: int, lines: list[str], sizes: Mapping[str, int], found: list[Loop]) -> int | None:
+    """The largest value a loop may count to, or down from: a dimension, or the counter of a loop around it."""
     if (value := _value(text, number, lines, sizes)) is not None:
         return value
     around = [loop for loop in found if loop.first < number <= loop.last]

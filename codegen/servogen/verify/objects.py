@@ -141,8 +141,8 @@ def library_graph(objdump: str, nm: str, image: Path) -> dict[str, Function]:
         elif current and (found := _LINE.match(line)):
             mnemonic, operands = found[2], found[3]
             functions[current].code += 2 * len(found[1].split())
-            if mnemonic.startswith(".") or mnemonic in ("nop", "nop.w"):
-                continue
+            if mnemonic.startswith(".") or mnemonic in ("nop", "nop.w") or found[1].strip() == "0000":
+                continue  # the last is a linker's padding, which reads as an instruction
             functions[current].frame += _pushed(mnemonic, operands)
             _follow(functions[current], current, mnemonic, operands, joined)
             open_end = not (_ENDS.match(mnemonic) or ("pc" in operands and mnemonic.startswith(("pop", "ldm", "ldr"))))

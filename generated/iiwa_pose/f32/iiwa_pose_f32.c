@@ -393,7 +393,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     float v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     float v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     float bound;
-    if (!iiwa_pose_f32_within(g_0_0, 87, 167) || !iiwa_pose_f32_within(g_1_1, 87, 167) || !iiwa_pose_f32_within(g_2_2, 87, 167) || !iiwa_pose_f32_within(g_3_3, 87, 167) || !iiwa_pose_f32_within(g_4_4, 87, 167) || !iiwa_pose_f32_within(g_5_5, 87, 167)) {
+    if (!iiwa_pose_f32_within(g_0_0, 92, 167) || !iiwa_pose_f32_within(g_1_1, 94, 167) || !iiwa_pose_f32_within(g_2_2, 87, 167) || !iiwa_pose_f32_within(g_3_3, 114, 167) || !iiwa_pose_f32_within(g_4_4, 114, 167) || !iiwa_pose_f32_within(g_5_5, 112, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -801,6 +801,16 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } iiwa_pose_f32_factors;
 
+/* Rows with no entry above these count as zero. */
+static const float iiwa_pose_f32_atol[6] = {
+    9.536743e-7f,
+    1.9073486e-6f,
+    0.0f,
+    0.001953125f,
+    0.001953125f,
+    0.0009765625f
+};
+
 /* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
    (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
    row however far the scales lie apart (Cox and Higham 1998). */
@@ -1013,7 +1023,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise(const float *S, iiwa_pose
             return IIWA_POSE_F32_NONFINITE;
         }
         f->exponent[i] = -16384;
-        if (word.value > 0.0f) {
+        if (word.value > iiwa_pose_f32_atol[i]) {
             f->exponent[i] = iiwa_pose_f32_length(S + 7 * i, iiwa_pose_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
@@ -1077,7 +1087,7 @@ static int iiwa_pose_f32_refuse(int status, iiwa_pose_f32_info *info)
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|).
+   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_pose_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
 {
@@ -1127,6 +1137,9 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
         target = iiwa_pose_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
         allowed = 0.00000667572f * (scale * iiwa_pose_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != -16384) {
+            allowed += iiwa_pose_f32_shift(iiwa_pose_f32_atol[i], tau_unit - unit[i]) * norm * 2.6457512f;
+        }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
@@ -1315,7 +1328,7 @@ static IIWA_POSE_F32_APART void iiwa_pose_f32_report(const float *S, const float
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSE_F32_NEAR void iiwa_pose_f32_step(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static IIWA_POSE_F32_NEAR void iiwa_pose_f32_correct(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         iiwa_pose_f32_qr_apply(qr, r, x, careful);
@@ -1338,15 +1351,15 @@ static IIWA_POSE_F32_NEAR int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *n
         iiwa_pose_f32_spread(y, 1.0f, step);
         iiwa_pose_f32_residual(B, z, step, r);
     }
-    iiwa_pose_f32_step(normal, qr, B, r, x, 0);
+    iiwa_pose_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_pose_f32_residual(B, z, x, r);
-    iiwa_pose_f32_step(normal, qr, B, r, step, 1);
+    iiwa_pose_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

@@ -427,7 +427,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     double bound;
-    if (!iiwa_pose_within(g_0_0, 523, 1523) || !iiwa_pose_within(g_1_1, 523, 1523) || !iiwa_pose_within(g_2_2, 523, 1523) || !iiwa_pose_within(g_3_3, 523, 1523) || !iiwa_pose_within(g_4_4, 523, 1523) || !iiwa_pose_within(g_5_5, 523, 1523)) {
+    if (!iiwa_pose_within(g_0_0, 930, 1523) || !iiwa_pose_within(g_1_1, 932, 1523) || !iiwa_pose_within(g_2_2, 523, 1523) || !iiwa_pose_within(g_3_3, 952, 1523) || !iiwa_pose_within(g_4_4, 952, 1523) || !iiwa_pose_within(g_5_5, 950, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -835,6 +835,16 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } iiwa_pose_factors;
 
+/* Rows with no entry above these count as zero. */
+static const double iiwa_pose_atol[6] = {
+    1.7763568394002505e-15,
+    3.552713678800501e-15,
+    0.0,
+    3.637978807091713e-12,
+    3.637978807091713e-12,
+    1.8189894035458565e-12
+};
+
 /* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
    (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
    row however far the scales lie apart (Cox and Higham 1998). */
@@ -1047,7 +1057,7 @@ static IIWA_POSE_APART int iiwa_pose_factorise(const double *S, iiwa_pose_factor
             return IIWA_POSE_NONFINITE;
         }
         f->exponent[i] = -16384;
-        if (word.value > 0.0) {
+        if (word.value > iiwa_pose_atol[i]) {
             f->exponent[i] = iiwa_pose_length(S + 7 * i, iiwa_pose_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
@@ -1111,7 +1121,7 @@ static int iiwa_pose_refuse(int status, iiwa_pose_info *info)
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|).
+   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_pose_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
 {
@@ -1161,6 +1171,9 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
         target = iiwa_pose_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
         allowed = 1.2434497875801753e-14 * (scale * iiwa_pose_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != -16384) {
+            allowed += iiwa_pose_shift(iiwa_pose_atol[i], tau_unit - unit[i]) * norm * 2.6457513110645907;
+        }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
@@ -1349,7 +1362,7 @@ static IIWA_POSE_APART void iiwa_pose_report(const double *S, const double *z, c
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSE_NEAR void iiwa_pose_step(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSE_NEAR void iiwa_pose_correct(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_pose_qr_apply(qr, r, x, careful);
@@ -1372,15 +1385,15 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
         iiwa_pose_spread(y, 1.0, step);
         iiwa_pose_residual(B, z, step, r);
     }
-    iiwa_pose_step(normal, qr, B, r, x, 0);
+    iiwa_pose_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_pose_residual(B, z, x, r);
-    iiwa_pose_step(normal, qr, B, r, step, 1);
+    iiwa_pose_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

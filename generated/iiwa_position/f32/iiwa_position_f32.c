@@ -372,7 +372,7 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     float v_1_0, l_1_0, n_1_0;
     float v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     float bound;
-    if (!iiwa_position_f32_within(g_0_0, 87, 167) || !iiwa_position_f32_within(g_1_1, 87, 167) || !iiwa_position_f32_within(g_2_2, 87, 167)) {
+    if (!iiwa_position_f32_within(g_0_0, 92, 167) || !iiwa_position_f32_within(g_1_1, 94, 167) || !iiwa_position_f32_within(g_2_2, 87, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -672,6 +672,13 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } iiwa_position_f32_factors;
 
+/* Rows with no entry above these count as zero. */
+static const float iiwa_position_f32_atol[3] = {
+    9.536743e-7f,
+    1.9073486e-6f,
+    0.0f
+};
+
 /* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
    (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
    row however far the scales lie apart (Cox and Higham 1998). */
@@ -884,7 +891,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, i
             return IIWA_POSITION_F32_NONFINITE;
         }
         f->exponent[i] = -16384;
-        if (word.value > 0.0f) {
+        if (word.value > iiwa_position_f32_atol[i]) {
             f->exponent[i] = iiwa_position_f32_length(S + 7 * i, iiwa_position_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
@@ -948,7 +955,7 @@ static int iiwa_position_f32_refuse(int status, iiwa_position_f32_info *info)
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|).
+   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_position_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
 {
@@ -998,6 +1005,9 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
         target = iiwa_position_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
         allowed = 0.00000667572f * (scale * iiwa_position_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != -16384) {
+            allowed += iiwa_position_f32_shift(iiwa_position_f32_atol[i], tau_unit - unit[i]) * norm * 2.6457512f;
+        }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
@@ -1171,7 +1181,7 @@ static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_step(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static IIWA_POSITION_F32_NEAR void iiwa_position_f32_correct(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_f32_qr_apply(qr, r, x, careful);
@@ -1194,15 +1204,15 @@ static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f
         iiwa_position_f32_spread(y, 1.0f, step);
         iiwa_position_f32_residual(B, z, step, r);
     }
-    iiwa_position_f32_step(normal, qr, B, r, x, 0);
+    iiwa_position_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_position_f32_residual(B, z, x, r);
-    iiwa_position_f32_step(normal, qr, B, r, step, 1);
+    iiwa_position_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

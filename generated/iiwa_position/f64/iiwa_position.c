@@ -406,7 +406,7 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     double v_1_0, l_1_0, n_1_0;
     double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     double bound;
-    if (!iiwa_position_within(g_0_0, 523, 1523) || !iiwa_position_within(g_1_1, 523, 1523) || !iiwa_position_within(g_2_2, 523, 1523)) {
+    if (!iiwa_position_within(g_0_0, 930, 1523) || !iiwa_position_within(g_1_1, 932, 1523) || !iiwa_position_within(g_2_2, 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -706,6 +706,13 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } iiwa_position_factors;
 
+/* Rows with no entry above these count as zero. */
+static const double iiwa_position_atol[3] = {
+    1.7763568394002505e-15,
+    3.552713678800501e-15,
+    0.0
+};
+
 /* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
    (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
    row however far the scales lie apart (Cox and Higham 1998). */
@@ -918,7 +925,7 @@ static IIWA_POSITION_APART int iiwa_position_factorise(const double *S, iiwa_pos
             return IIWA_POSITION_NONFINITE;
         }
         f->exponent[i] = -16384;
-        if (word.value > 0.0) {
+        if (word.value > iiwa_position_atol[i]) {
             f->exponent[i] = iiwa_position_length(S + 7 * i, iiwa_position_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
@@ -982,7 +989,7 @@ static int iiwa_position_refuse(int status, iiwa_position_info *info)
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|).
+   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_position_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
 {
@@ -1032,6 +1039,9 @@ static int iiwa_position_consistent(const double *S, const double *z, const doub
         target = iiwa_position_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
         allowed = 1.2434497875801753e-14 * (scale * iiwa_position_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != -16384) {
+            allowed += iiwa_position_shift(iiwa_position_atol[i], tau_unit - unit[i]) * norm * 2.6457513110645907;
+        }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
@@ -1205,7 +1215,7 @@ static IIWA_POSITION_APART void iiwa_position_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_NEAR void iiwa_position_step(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSITION_NEAR void iiwa_position_correct(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_qr_apply(qr, r, x, careful);
@@ -1228,15 +1238,15 @@ static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *n
         iiwa_position_spread(y, 1.0, step);
         iiwa_position_residual(B, z, step, r);
     }
-    iiwa_position_step(normal, qr, B, r, x, 0);
+    iiwa_position_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 8; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     iiwa_position_residual(B, z, x, r);
-    iiwa_position_step(normal, qr, B, r, step, 1);
+    iiwa_position_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }

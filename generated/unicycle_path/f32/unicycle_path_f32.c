@@ -1055,7 +1055,7 @@ static UNICYCLE_PATH_F32_APART void unicycle_path_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_step(const unicycle_path_f32_normal *normal, const unicycle_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_correct(const unicycle_path_f32_normal *normal, const unicycle_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         unicycle_path_f32_qr_apply(qr, r, x, careful);
@@ -1078,15 +1078,15 @@ static UNICYCLE_PATH_F32_NEAR int unicycle_path_f32_answer(const unicycle_path_f
         unicycle_path_f32_spread(y, 1.0f, step);
         unicycle_path_f32_residual(B, z, step, r);
     }
-    unicycle_path_f32_step(normal, qr, B, r, x, 0);
+    unicycle_path_f32_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     unicycle_path_f32_residual(B, z, x, r);
-    unicycle_path_f32_step(normal, qr, B, r, step, 1);
+    unicycle_path_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }

@@ -1089,7 +1089,7 @@ static UNICYCLE_PATH_APART void unicycle_path_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static UNICYCLE_PATH_NEAR void unicycle_path_step(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *B, const double *r, double *x, int careful)
+static UNICYCLE_PATH_NEAR void unicycle_path_correct(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         unicycle_path_qr_apply(qr, r, x, careful);
@@ -1112,15 +1112,15 @@ static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *n
         unicycle_path_spread(y, 1.0, step);
         unicycle_path_residual(B, z, step, r);
     }
-    unicycle_path_step(normal, qr, B, r, x, 0);
+    unicycle_path_correct(normal, qr, B, r, x, 0);
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            x[j] += step[j];
+            x[j] = step[j] + x[j];
         }
     }
     /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
     unicycle_path_residual(B, z, x, r);
-    unicycle_path_step(normal, qr, B, r, step, 1);
+    unicycle_path_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }

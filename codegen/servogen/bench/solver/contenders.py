@@ -22,8 +22,8 @@ from servogen.scene.solver import Solver
 
 HERE = Path(__file__).parent
 FLAGS = ("-O2", "-march=native")
-REFINEMENT = (r"\bx\[j\] \+= step\[j\];", r"\banswer\[j\] \+= [^;]*;")
-"""What adds the refinement's step in the generated C; without it compilers drop the step itself."""
+REFINEMENT = re.compile(r"^    /\* refined once.*?(?=^    if \()", re.DOTALL | re.MULTILINE)
+"""The generated C's step of refinement, from its comment to the test of the answer's range."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,7 @@ def generate(m: int, l: int, scalar: Scalar, variant: Variant, folder: Path) -> 
     module = dataclasses.replace(module, solver=dataclasses.replace(module.solver, **changed))
     path = write(render(module), folder / variant.prefix, module, None).path / f"{variant.prefix}.c"
     if not variant.refined:
-        text = path.read_text()
-        cut, found = text, 0
-        for pattern in REFINEMENT:
-            cut, n = re.subn(pattern, "(void)j;", cut)
-            found += n
+        cut, found = REFINEMENT.subn("", path.read_text())
         if not found:
             raise RuntimeError(f"{path.name} has no refinement to cut: REFINEMENT no longer fits the templates")
         path.write_text(cut)

@@ -1,5 +1,6 @@
 // Ours against Eigen and LAPACK on the same systems, in one process: nanoseconds a solve, best of many rounds.
-// One build a shape and scalar: -DM= -DL= -DREAL= -DOURS= (prefix of the package) -DFORCED= (prefix of method="svd").
+// One build a shape and scalar: -DROWS= -DCOLUMNS= [-DSINGLE] -DOURS= (prefix of the package) -DFORCED= (that of
+// method="svd") -DOURS_HEADER= -DFORCED_HEADER= [-DCALLGRIND].
 #define HAVE_EIGEN
 #define HAVE_LAPACK
 #include "rivals.hpp"

@@ -9,6 +9,7 @@ import argparse
 import json
 import re
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,10 @@ SHAPES = ((2, 3), (3, 4), (3, 7), (6, 7), (6, 12))
 FLAGS = ("-O2", "-march=native")
 COUNTED_FLAGS = ("-O2", "-march=haswell")  # valgrind knows no AVX-512
 NAMES = ("auto", "auto with info", "forced svd", "COD", "JacobiSVD", "gelsd", "gelsy", "gesvj", "uncertified Cholesky")
-BARS = {"normal": {"COD": 6, "JacobiSVD": 9, "gelsd": 20}, "qr": {"COD": 3, "JacobiSVD": 5, "gelsd": 12}}
+RANDOM_BARS = {"COD": 6.0, "JacobiSVD": 9.0, "gelsd": 20.0}  # times faster than these, on the NORMAL rung
+CONDITIONED_BARS = {"COD": 3.0, "JacobiSVD": 5.0, "gelsd": 12.0}  # on the QR rung
+FORCED_BAR, FORCED_BAR_2x3 = 1.8, 3.0  # times faster than JacobiSVD
+ERROR_BAR, RIVAL_BAR = 4.0, 1.5  # u kappa; times the best rival's
 
 
 def systems(m: int, l: int, scalar: Scalar, kappa: float, generator: Any) -> Any:
@@ -120,7 +124,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--work", type=Path, help="keep the builds here, and take the rivals' from there")
     chosen = parser.parse_args()
-    rows = []
+    rows, short = [], []
     for shape in chosen.shapes.split(","):
         m, l = map(int, shape.split("x"))
         for scalar in chosen.scalars.split(","):
@@ -131,9 +135,27 @@ def main() -> None:
                     kappa = kappa**0.5 if scalar == "float32" and kappa > 1e6 else kappa
                     rows.append(measure(m, l, scalar, kappa, chosen.rounds, folder, chosen.callgrind))
                     show(rows[-1])
+                    short += shortfalls(rows[-1])
     if chosen.out:
         chosen.out.mkdir(parents=True, exist_ok=True)
         (chosen.out / "solver.json").write_text(json.dumps(rows, indent=1) + "\n")
+    print("every bar is met" if not short else "short of the bars:\n" + "\n".join(short))
+    sys.exit(bool(short))
+
+
+def shortfalls(row: Any) -> list[str]:
+    """The bars that one row of figures misses, in words."""
+    results, where = row["results"], f"{row['shape']} {row['scalar']} kappa {row['kappa']:g}"
+    ours = results["auto"]
+    bars = RANDOM_BARS if row["kappa"] == 0 else CONDITIONED_BARS
+    ratios = [(f"auto over {name}", results[name]["best"] / ours["best"], bar) for name, bar in bars.items()]
+    forced = results["JacobiSVD"]["best"] / results["forced svd"]["best"]
+    ratios.append(("forced svd over JacobiSVD", forced, FORCED_BAR_2x3 if row["shape"] == "2x3" else FORCED_BAR))
+    found = [f"{where}: {what} {ratio:.2f}, the bar is {bar:g}" for what, ratio, bar in ratios if ratio < bar]
+    rival = min(results[name]["error"] for name in ("COD", "JacobiSVD", "gelsd", "gelsy", "gesvj"))
+    if ours["error"] > min(ERROR_BAR, RIVAL_BAR * rival):
+        found.append(f"{where}: error {ours['error']:.3g} u kappa, the best rival's is {rival:.3g}")
+    return found
 
 
 def show(row: Any) -> None:

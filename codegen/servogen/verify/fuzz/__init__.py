@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from servogen.compiler import build_solver
 from servogen.scalars import Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import ToolMissing, find_tool
@@ -80,6 +81,12 @@ def fuzz(seconds: int, chosen: Sequence[Target], *, seed: int = 1, jobs: int = 1
         yield from zip(chosen, found, strict=True)
 
 
+def require_fuzzer() -> None:
+    """Raises ToolMissing without clang and its libFuzzer."""
+    with tempfile.TemporaryDirectory(prefix="servogen-fuzz-") as name:
+        build_target(find_tool("clang", "clang"), Target(1, 1, "float64", "default"), Path(name))
+
+
 def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzzed:
     """Build one target and run it until it fails or `seconds` have passed."""
     with tempfile.TemporaryDirectory(prefix="servogen-fuzz-") as name:
@@ -112,8 +119,6 @@ def run_target(compiler: Path, target: Target, seconds: int, seed: int) -> Fuzze
 
 def build_target(compiler: Path, target: Target, folder: Path) -> Path:
     """The fuzzer's program in `folder`. Raises ToolMissing where clang has no libFuzzer."""
-    from servogen.compiler import build_solver
-
     solver = POLICIES[target.policy]
     package = build_solver(target.m, target.l, folder, scalar=target.scalar, solver=solver, prefix="pinv")
     real = "double" if target.scalar == "float64" else "float"

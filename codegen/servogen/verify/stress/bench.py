@@ -10,6 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from servogen.compiler import build_solver
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
@@ -34,8 +35,6 @@ MakeTwin = Callable[[int, int, Scalar, Solver], SolverTwin]
 @functools.cache
 def built(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
     """The generated and compiled package for one shape."""
-    from servogen.compiler import build_solver
-
     package = build_solver(m, l, scalar=scalar, solver=solver)
     return cast(SolverTwin, package.load(flags=("-O1",)))  # the bits are those of any level
 

@@ -10,7 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from servogen.scalars import Scalar
-from servogen.verify.fuzz import Fuzzed, fuzz, targets
+from servogen.tools import find_tool
+from servogen.verify.fuzz import Fuzzed, fuzz, require_fuzzer, targets
 from servogen.verify.stress.bars import Figure
 from servogen.verify.stress.bench import MakeTwin, Task, built
 from servogen.verify.stress.families import FAMILIES, SHAPES, run
@@ -50,6 +51,10 @@ def stress(
     if unknown:
         raise ValueError(f"no family {unknown[0]!r}; choose from {', '.join(FAMILIES)}")
     work = tasks(chosen, shapes, scalars, systems, seed)
+    for tool in {tool for name in chosen for tool in FAMILIES[name].tools}:
+        find_tool(tool, tool)  # now, not after hours
+    if fuzzing > 0:
+        require_fuzzer()
     kept = Journal(journal, seed)
     left = [task for task in work if str(task) not in kept.found]
     done = len(work) - len(left)

@@ -4,6 +4,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from servogen.compiler import build_solver
 from servogen.scalars import Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import find_tool
@@ -16,8 +17,6 @@ STRICT = (
 
 def complaints(m: int, l: int, scalar: Scalar, solver: Solver) -> list[str]:
     """What gcc and clang say; [] is good. Raises ToolMissing where one is not here."""
-    from servogen.compiler import build_solver
-
     said = []
     with tempfile.TemporaryDirectory(prefix="servogen-strict-") as name:
         package = build_solver(m, l, name, scalar=scalar, solver=solver)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from servogen.compiler import build_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
@@ -21,8 +22,6 @@ SOURCE = Path(__file__).with_name("core.c")
 
 @functools.cache
 def _library(m: int, l: int, scalar: Scalar) -> ct.CDLL:
-    from servogen.compiler import build_solver
-
     solver = Solver(method="svd", rank="raw")
     plan = plan_solver(m, l, scalar, solver)
     compiler = find_tool("gcc", "gcc")

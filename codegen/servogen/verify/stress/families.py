@@ -49,7 +49,7 @@ class Family:
     """measure: the figures of one task. applies(m, l): whether it has that shape. solver: what is put to the test.
 
     times: systems for each one asked for. part: systems in one task. finite: there is only one task, with all there
-    are. shapes: its own in place of the run's. long: only in a campaign.
+    are. shapes: its own in place of the run's. long: only in a campaign. tools: compilers that it calls by name.
     """
 
     measure: Callable[[Task, Bench], Iterator[Figure]]
@@ -60,6 +60,7 @@ class Family:
     finite: bool = False
     shapes: tuple[tuple[int, int], ...] | None = None
     long: bool = False
+    tools: tuple[str, ...] = ()
 
 
 def run(task: Task, make: MakeTwin) -> list[Figure]:
@@ -420,7 +421,7 @@ def _sweeps(task: Task, bench: Bench) -> Iterator[Figure]:
 
 
 def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
-    """Whether a certificate was ever given in vain, of the systems that were given one, and whether each step gives any."""
+    """Whether a certificate was ever given in vain, of the systems given one; and whether each step gives any."""
     found = certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
@@ -462,13 +463,18 @@ FAMILIES: dict[str, Family] = {
     "rank with a gap": Family(_gaps, lambda m, l: min(m, l) > 1, GAP, part=2500),
     "near overflow and underflow": Family(_extremes),
     "NaN and infinity": Family(_nonfinite, part=1000),
-    "SVD core": Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500),
+    "SVD core": Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500, tools=("gcc",)),
     "sweeps": Family(_sweeps, lambda m, l: min(m, l) > 1, SVD, times=10, part=5000),
     "2x2 of 0 and +-1": Family(_small_integers, lambda m, l: (m, l) == (2, 2), finite=True),
     "subnormal 2x2": Family(_subnormal, lambda m, l: (m, l) == (2, 2), finite=True),
     "regressions": Family(_regressions, finite=True, shapes=tuple(sorted({r.shape for r in REGRESSIONS}))),
     "certificates": Family(
-        _certificates, shapes=((2, 2), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12)), times=100, part=200_000, long=True
+        _certificates,
+        shapes=((2, 2), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12)),
+        times=100,
+        part=200_000,
+        long=True,
+        tools=("gcc",),
     ),
-    "every shape": Family(_every_shape, shapes=EVERY, times=0.036, part=1000, long=True),
+    "every shape": Family(_every_shape, shapes=EVERY, times=0.036, part=1000, long=True, tools=("gcc", "clang")),
 }

@@ -11,7 +11,8 @@ import servogen
 class Journal:
     """Finished pieces by name. With a path, every one is on disk before the next begins; without, in memory only.
 
-    A journal of other code or another seed is put aside (its name gains `.old`): its figures are not this code's.
+    A journal of other code or another seed, or a damaged one, is put aside (its name gains `.old`): its figures are not
+    this code's.
     """
 
     def __init__(self, path: Path | None, seed: int) -> None:
@@ -29,10 +30,14 @@ class Journal:
     def _read(self, path: Path, head: dict[str, Any]) -> bool:
         text = path.read_text()
         lines = text.split("\n")[:-1]  # what follows the last line's end was cut off as it was written
-        if not lines or json.loads(lines[0]) != head:
+        try:
+            entries = [json.loads(line) for line in lines]
+        except json.JSONDecodeError:
             return False
-        for line in lines[1:]:
-            self.found.update(json.loads(line))
+        if not entries or entries[0] != head:
+            return False
+        for entry in entries[1:]:
+            self.found.update(entry)
         if not text.endswith("\n"):
             path.write_text("\n".join(lines) + "\n")
         return True
