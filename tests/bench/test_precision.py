@@ -97,4 +97,4 @@ def test_the_command(tmp_path, monkeypatch, few):
     assert (tmp_path / "solver" / "solver.html").exists()
     wrong = CliRunner().invoke(cli, ["bench", "--solver", "--shape", "1x99"])
     assert wrong.exit_code == 2
-    assert "rows and columns from 2 to 12" in wrong.output
+    assert "2 to 12 rows and no fewer columns" in wrong.output
