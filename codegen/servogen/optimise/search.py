@@ -86,14 +86,17 @@ def search(
     accuracy = Accuracy.of(start, states)
     orders = ORDERS if tick_operations(start) <= _SMALL else ORDERS[:1]
     found = [_in_order(start, [n for n in order if n not in without], objective, accuracy) for order in orders]
-    return _with_early_part(min(found, key=lambda done: objective.cost(done.program)), objective, accuracy, without)
+    best = min(found, key=lambda done: objective.cost(done.program))
+    part = early_part(best.program)
+    if part is None or not any(i.kind == "parameter" for i in start.inputs):
+        return best
+    return _with_early_part(best, part, objective, accuracy, without)
 
 
-def _with_early_part(done: Optimised, objective: Objective, accuracy: Accuracy, without: frozenset[str]) -> Optimised:
+def _with_early_part(
+    done: Optimised, part: Program, objective: Objective, accuracy: Accuracy, without: frozenset[str]
+) -> Optimised:
     """What parameters alone decide, searched by itself."""
-    part = early_part(done.program)
-    if part is None:
-        return done
     states = draw_inputs(part)
     as_inputs = replace(part, inputs=tuple(replace(i, kind="input") for i in part.inputs))
     found = optimise(check_legal(with_early_part(done.program, search(as_inputs, states, without=without).program)))
