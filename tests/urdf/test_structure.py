@@ -1,12 +1,13 @@
 """What the recursions save, and how a robot is read: locked joints, order, quarter turns, operation counts."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
 import numpy as np
-import pytest
 import servogen as sg
 from servogen.bench.peers.robots import adam_scene
 from servogen.compiler import compile_scene, target_for
@@ -34,9 +35,9 @@ def test_operations_of_the_built_in_scene() -> None:
     assert json.loads(manifest.read_text())["entry_points"]["S_z"]["operations"]["total"] <= 1100
 
 
-def test_adams_model_of_the_iiwa_loses_most_of_its_operations() -> None:
+def test_adams_model_of_the_iiwa_loses_most_of_its_operations(need_module: Callable[[str, str], ModuleType]) -> None:
     """What a user pastes: 10,188 operations as CasADi writes them, and noise of quarter turns in the constants."""
-    pytest.importorskip("adam")
+    need_module("adam", "adam-robotics[casadi]")
     scene = adam_scene(scene_module("iiwa_position"))
     kernel = next(
         e.kernel for e in compile_scene(scene, target_for("p", "float64", None)).entry_points if e.name == "S_z"

@@ -59,7 +59,7 @@ def test_wrong_code_fails(monkeypatch, old, new):
 
 def test_an_inaccurate_solve_fails(monkeypatch):
     """tau off by a part in 1e14 is found by the exact solution of the code's own system."""
-    edited(monkeypatch, "rest /= square;", "rest /= square * 1.00000000000001;")
+    edited(monkeypatch, "scale = target / square;", "scale = target / square * 1.00000000000001;")
     report = check([load_scene("double_pendulum_energy")], states=STATES)
     assert any("the bar is 8" in p for p in report.problems)
 
