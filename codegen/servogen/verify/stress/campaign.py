@@ -4,7 +4,7 @@ import itertools
 import math
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -108,14 +108,16 @@ def _run_all(
             keep(task, run(task, make))
         return
     with nullcontext(executor) if executor is not None else ProcessPoolExecutor(jobs, initializer=_deaf) as pool:
-        futures = {pool.submit(run, task, make): task for task in work}
-        waiting = set(futures)
+        futures: dict[Future[list[Figure]], Task] = {}
+        kept: set[Future[list[Figure]]] = set()
         try:
+            for task in work:  # thousands: an interrupt may come while they are handed over
+                futures[pool.submit(run, task, make)] = task
             for future in as_completed(futures):
                 keep(futures[future], future.result())
-                waiting.discard(future)
+                kept.add(future)
         except BaseException:
-            for future in [f for f in waiting if not f.cancel()]:
+            for future in [f for f in futures if f not in kept and not f.cancel()]:
                 if future.exception() is None:
                     keep(futures[future], future.result())
             raise
