@@ -134,6 +134,13 @@ def test_a_damped_solver_is_checked_against_the_damped_solution():
     assert all(o.compared > STATES for o in report.outputs if o.output == "tau")
 
 
+def test_a_row_within_its_atol_is_zero_to_the_truth_as_well():
+    rows = {"a": lambda q, u: u[0] ** 2 + u[1], "b": lambda q, u: 1e-6 * (u[0] + u[1] ** 2)}
+    report = check([pulled(rows, sg.Solver(atol=[0.0, 1e-5]))], states=STATES)
+    assert report.passed, report.problems
+    assert all(o.compared > STATES for o in report.outputs if o.output == "S_pinv")
+
+
 @pytest.mark.parametrize("states", [30])
 def test_same_vectors_on_the_emulated_cortex_m4(need_target, states):
     need_target("cortex-m4", "gcc")

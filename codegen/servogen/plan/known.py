@@ -48,12 +48,13 @@ def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
     m, l = solver.m, solver.l
     matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
     values = exact.nearest(matrix)
+    counted = textbook_solver.counted_rows(values, solver)
     _, info = textbook_solver.pinv(values, solver)
-    if info.rank == exact.rank(matrix) and info.status != Status.REGULARISED:
+    if info.rank == exact.rank(matrix) and np.array_equal(counted, values) and info.status != Status.REGULARISED:
         entries = exact.pinv(matrix)
         numbers = [Fraction(int(q.p), int(q.q)) for q in (entries[i, j] for i in range(l) for j in range(m))]
     else:
-        columns = [pseudo_solution(values, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
+        columns = [pseudo_solution(counted, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
         numbers = [Fraction(float(column[i])) for i in range(l) for column in columns]
     sigma_min = smallest_singular_value(values) if exact.rank(matrix) == min(m, l) else 0.0
     return Known("generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)

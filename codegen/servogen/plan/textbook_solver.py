@@ -63,6 +63,11 @@ def pinv(S: FloatArray, plan: SolverPlan, last: FloatArray | None = None) -> tup
         return matrix, _info(status, rank, S, 0.0, plan)
 
 
+def counted_rows(S: FloatArray, plan: SolverPlan) -> FloatArray:
+    """S, (m, l), with the rows at or below their atol set to zero, as the solver takes them."""
+    return np.where(np.max(np.abs(S), axis=1, keepdims=True) > np.array(plan.atol)[:, None], S, 0.0)
+
+
 def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
     """Exponents e such that 2^-(e_i + e_j) matrix_ij has no entry far above 1; about 1 on a positive diagonal.
 
@@ -83,9 +88,9 @@ def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, F
 
     D is the identity (times one power of two) wherever the row scaling makes a difference to S+.
     """
+    S = counted_rows(S, plan)
     row_size = np.abs(S).max(axis=1)
-    counted = row_size > np.array(plan.atol)
-    S = np.where(counted[:, None], S, 0.0)
+    counted = row_size > 0
     if not counted.any():
         return np.zeros((plan.m, 0)), np.zeros(0), np.zeros((plan.l, 0)), np.ones(plan.m), False
 

@@ -311,6 +311,7 @@ class Truth:
 
     def _pseudo_inverse(self, S: FloatArray, info: Info) -> tuple[FloatArray, float]:
         """S+ and the condition of what it keeps: exact at full rank, else by the SVD at 50 digits."""
+        S = textbook_solver.counted_rows(S, self.solver)
         if info.status != Status.REGULARISED and info.rank in (0, min(S.shape)):
             sigma = np.linalg.svd(S, compute_uv=False)
             with np.errstate(divide="ignore"):  # of subnormal rows the smallest may vanish: nothing to compare there
@@ -449,7 +450,7 @@ def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info,
     The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
     """
     S, z = point.rounded[matrix].reshape(solver.m, solver.l), point.rounded[right]
-    tau, kappa = pseudo_solution(S, z, y, info.rank, solver.damping)
+    tau, kappa = pseudo_solution(textbook_solver.counted_rows(S, solver), z, y, info.rank, solver.damping)
     residual = _norm(z - S @ np.array([float(v) for v in tau]))
     size = _norm(S)
     carried = kappa * residual / size if size > 0 else 0.0
