@@ -4,10 +4,11 @@ import itertools
 import math
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import nullcontext
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from threading import Event, current_thread, main_thread
 
 from servogen.scalars import Scalar
 from servogen.tools import find_tool
@@ -107,20 +108,43 @@ def _run_all(
         for task in work:
             keep(task, run(task, make))
         return
-    with nullcontext(executor) if executor is not None else ProcessPoolExecutor(jobs, initializer=_deaf) as pool:
-        futures: dict[Future[list[Figure]], Task] = {}
-        kept: set[Future[list[Figure]]] = set()
+    with (
+        nullcontext(executor) if executor is not None else ProcessPoolExecutor(jobs, initializer=_deaf) as pool,
+        _interrupt_kept() as interrupted,
+    ):
+        left = iter(work)
+        at_once = 2 * jobs if executor is None else len(work)  # nobody knows how many an executor of others runs
+        running: dict[Future[list[Figure]], Task] = {}
         try:
-            for task in work:  # thousands: an interrupt may come while they are handed over
-                futures[pool.submit(run, task, make)] = task
-            for future in as_completed(futures):
-                keep(futures[future], future.result())
-                kept.add(future)
+            while True:
+                for task in itertools.islice(left, at_once - len(running)):
+                    running[pool.submit(run, task, make)] = task
+                if not running:
+                    return
+                for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
+                    task = running.pop(future)
+                    keep(task, future.result())
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
         except BaseException:
-            for future in [f for f in futures if f not in kept and not f.cancel()]:
-                if future.exception() is None:
-                    keep(futures[future], future.result())
+            for future, task in running.items():
+                if not future.cancel() and future.exception() is None:
+                    keep(task, future.result())
             raise
+
+
+@contextmanager
+def _interrupt_kept() -> Iterator[Event]:
+    """Ctrl-C sets the event instead of stopping the executor's own code half-way: its locks would stay taken."""
+    interrupted = Event()
+    if current_thread() is not main_thread():  # only there do signals arrive
+        yield interrupted
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: interrupted.set())
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _deaf() -> None:
