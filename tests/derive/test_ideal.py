@@ -16,6 +16,7 @@ from servogen.scenes.double_pendulum_energy_free_y import simulation as free_run
 from servogen.simulate.closed_loop import ClosedLoop
 from support.models import MASSES, derived, random_scene
 from support.programs import examples
+from support.twins import as_derived
 
 
 def ideal(seed: int, kind: str = "mixed", mass: str = "spd", l: int = 3) -> sg.Scene:
@@ -37,7 +38,7 @@ def relative(a: Any, b: Any) -> float:
 def test_reaction_and_nonminimal_form_agree(kind: str, mass: str) -> None:
     """C: J^T (J Q^-1 J^T)^+ (b - J Q^-1 P). Reference: Q T^-1 F - P with u_D chosen at each state."""
     scene = ideal(11, kind, mass)
-    code, textbook = sg.build(scene).load(), sg.reference(scene)
+    code, textbook = as_derived(scene), sg.reference(scene)
     compared = 0
     for state in states_of(scene, 25):
         parts = textbook.parts(textbook.read_inputs(state))
@@ -71,7 +72,7 @@ def test_both_routes_agree_over_the_pendulums_domain() -> None:
 def test_gauss_principle() -> None:
     """u' = Q^-1 (P + R) minimises (u' - a)^T Q (u' - a), a = Q^-1 P, subject to the rows: by Lagrange's conditions."""
     scene = ideal(7)
-    code, textbook = sg.build(scene).load(), sg.reference(scene)
+    code, textbook = as_derived(scene), sg.reference(scene)
     for state in states_of(scene, 25):
         parts = textbook.parts(textbook.read_inputs(state))
         Q, P, J = parts["Q"], parts["P"].ravel(), parts["J"]
@@ -202,7 +203,7 @@ def test_the_unit_of_a_constraint_does_not_change_its_force(units: tuple[float, 
     """Rows whose sizes differ by more than 1/eps once were taken for dependent."""
     plain = ideal(11, mass=mass)
     scene = in_units(plain, *units)
-    code, textbook, expected = sg.build(scene).load(), sg.reference(scene), sg.reference(plain)
+    code, textbook, expected = as_derived(scene), sg.reference(scene), sg.reference(plain)
     for state in states_of(plain, 5):
         R = expected.R(**state)
         assert relative(code.R(**state), R) < 1e-10

@@ -8,6 +8,7 @@ import pytest
 import servogen as sg
 from servogen.scene.domain import draw_states
 from support.models import random_scene
+from support.twins import as_derived
 
 NUMBERS = np.array([[2.0, 0.3, -0.1], [0.3, 1.5, 0.4], [-0.1, 0.4, 0.7]])
 
@@ -45,7 +46,7 @@ def numeric(scene: sg.Scene, expression: Any, state: dict[str, Any]) -> np.ndarr
 @pytest.mark.parametrize("y", [None, of_velocity, "input"], ids=["no y", "y of u", "y input"])
 def test_the_answer_is_the_weighted_minimum(weight: Any, y: Any) -> None:
     scene = weighted(3, weight, y=y)
-    code, textbook = sg.build(scene).load(), sg.reference(scene)
+    code, textbook = as_derived(scene), sg.reference(scene)
     states = draw_states(scene, 20)
     for k in range(20):
         state = {n: v[k] for n, v in states.items()}
@@ -62,7 +63,7 @@ def test_the_answer_is_the_weighted_minimum(weight: Any, y: Any) -> None:
 
 def test_controls_involved_constraints_take_a_weight_as_well() -> None:
     scene = weighted(5, NUMBERS, "controls", y=of_velocity)
-    code, textbook = sg.build(scene).load(), sg.reference(scene)
+    code, textbook = as_derived(scene), sg.reference(scene)
     states = draw_states(scene, 10)
     for k in range(10):
         state = {n: v[k] for n, v in states.items()}

@@ -28,6 +28,7 @@ class Op:
     exact: on Fractions, or None where the result is irrational in general.
     partials: (operands..., value) -> derivative with respect to each operand, on arrays.
     rounding: its largest error in units in the last place (0.5: correctly rounded; 0: exact).
+    telling: the operands whose NaN or infinity no value of the others can hide: the result is then not finite either.
     field: on residues of ir/field.py; None where no formula over a field gives the operation (it is opaque there), and
     for division by zero. parity: "odd" or "even" in the last operand where opaque ones have a symmetry.
     """
@@ -44,6 +45,7 @@ class Op:
     commutative: bool = False
     field: Evaluator | None = None
     parity: str = ""
+    telling: tuple[int, ...] = ()
 
     @property
     def needs_libm(self) -> bool:
@@ -97,54 +99,56 @@ def _remainder(a: Any, b: Any) -> Any:
 _ROWS = (
     Op("add", 2, ca.OP_ADD, "{0} + {1}", np.add, lambda a, b: a + b, lambda a, b: a + b,
        lambda a, b, v: (np.ones_like(a), np.ones_like(b)), 0.5, commutative=True,
-       field=lambda a, b: (a + b) % PRIME),
+       field=lambda a, b: (a + b) % PRIME, telling=(0, 1)),
     Op("sub", 2, ca.OP_SUB, "{0} - {1}", np.subtract, lambda a, b: a - b, lambda a, b: a - b,
-       lambda a, b, v: (np.ones_like(a), -np.ones_like(b)), 0.5, field=lambda a, b: (a - b) % PRIME),
+       lambda a, b, v: (np.ones_like(a), -np.ones_like(b)), 0.5, field=lambda a, b: (a - b) % PRIME, telling=(0, 1)),
     Op("mul", 2, ca.OP_MUL, "{0} * {1}", np.multiply, lambda a, b: a * b, lambda a, b: a * b, lambda a, b, v: (b, a),
-       0.5, commutative=True, field=lambda a, b: a * b % PRIME),
+       0.5, commutative=True, field=lambda a, b: a * b % PRIME, telling=(0, 1)),
     Op("div", 2, ca.OP_DIV, "{0} / {1}", np.divide, lambda a, b: a / b, lambda a, b: a / b if b else None,
-       lambda a, b, v: (_safe(1.0, b), -_safe(v, b)), 0.5, field=lambda a, b: a * inverse(b) % PRIME),
+       lambda a, b, v: (_safe(1.0, b), -_safe(v, b)), 0.5, field=lambda a, b: a * inverse(b) % PRIME, telling=(0,)),
     Op("neg", 1, ca.OP_NEG, "-{0}", np.negative, lambda a: -a, lambda a: -a, lambda a, v: (-np.ones_like(a),), 0.0,
-       field=lambda a: -a % PRIME),
-    Op("sqrt", 1, ca.OP_SQRT, "sqrt{f}({0})", np.sqrt, mp.sqrt, _exact_sqrt, lambda a, v: (_safe(0.5, v),), 0.5),
+       field=lambda a: -a % PRIME, telling=(0,)),
+    Op("sqrt", 1, ca.OP_SQRT, "sqrt{f}({0})", np.sqrt, mp.sqrt, _exact_sqrt, lambda a, v: (_safe(0.5, v),), 0.5,
+       telling=(0,)),
     Op("fabs", 1, ca.OP_FABS, "fabs{f}({0})", np.fabs, mp.fabs, abs, lambda a, v: (np.sign(a),), 0.0,
-       parity="even"),
-    Op("sin", 1, ca.OP_SIN, "sin{f}({0})", np.sin, mp.sin, _at_zero(0), lambda a, v: (np.cos(a),), 1.0),
-    Op("cos", 1, ca.OP_COS, "cos{f}({0})", np.cos, mp.cos, _at_zero(1), lambda a, v: (-np.sin(a),), 1.0),
-    Op("tan", 1, ca.OP_TAN, "tan{f}({0})", np.tan, mp.tan, _at_zero(0), lambda a, v: (1.0 + v * v,), 1.0),
+       parity="even", telling=(0,)),
+    Op("sin", 1, ca.OP_SIN, "sin{f}({0})", np.sin, mp.sin, _at_zero(0), lambda a, v: (np.cos(a),), 1.0, telling=(0,)),
+    Op("cos", 1, ca.OP_COS, "cos{f}({0})", np.cos, mp.cos, _at_zero(1), lambda a, v: (-np.sin(a),), 1.0, telling=(0,)),
+    Op("tan", 1, ca.OP_TAN, "tan{f}({0})", np.tan, mp.tan, _at_zero(0), lambda a, v: (1.0 + v * v,), 1.0, telling=(0,)),
     Op("asin", 1, ca.OP_ASIN, "asin{f}({0})", np.arcsin, mp.asin, _at_zero(0),
-       lambda a, v: (_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, parity="odd"),
+       lambda a, v: (_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, parity="odd", telling=(0,)),
     Op("acos", 1, ca.OP_ACOS, "acos{f}({0})", np.arccos, mp.acos, None,
-       lambda a, v: (-_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0),
+       lambda a, v: (-_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, telling=(0,)),
     Op("atan", 1, ca.OP_ATAN, "atan{f}({0})", np.arctan, mp.atan, _at_zero(0), lambda a, v: (1.0 / (1.0 + a * a),),
        1.0, parity="odd"),
     Op("atan2", 2, ca.OP_ATAN2, "atan2{f}({0}, {1})", np.arctan2, mp.atan2, None,
        lambda a, b, v: (_safe(b, a * a + b * b), -_safe(a, a * a + b * b)), 1.0),
     Op("exp", 1, ca.OP_EXP, "exp{f}({0})", np.exp, mp.exp, _at_zero(1), lambda a, v: (v,), 1.0),
     Op("log", 1, ca.OP_LOG, "log{f}({0})", np.log, mp.log, lambda a: Fraction(0) if a == 1 else None,
-       lambda a, v: (_safe(1.0, a),), 1.0),
+       lambda a, v: (_safe(1.0, a),), 1.0, telling=(0,)),
     Op("expm1", 1, ca.OP_EXPM1, "expm1{f}({0})", np.expm1, mp.expm1, _at_zero(0), lambda a, v: (v + 1.0,), 1.0),
     Op("log1p", 1, ca.OP_LOG1P, "log1p{f}({0})", np.log1p, mp.log1p, _at_zero(0), lambda a, v: (_safe(1.0, 1.0 + a),),
-       1.0),
+       1.0, telling=(0,)),
     Op("sinh", 1, ca.OP_SINH, "sinh{f}({0})", np.sinh, mp.sinh, _at_zero(0), lambda a, v: (np.cosh(a),), 2.0,
-       parity="odd"),
+       parity="odd", telling=(0,)),
     Op("cosh", 1, ca.OP_COSH, "cosh{f}({0})", np.cosh, mp.cosh, _at_zero(1), lambda a, v: (np.sinh(a),), 2.0,
-       parity="even"),
+       parity="even", telling=(0,)),
     Op("tanh", 1, ca.OP_TANH, "tanh{f}({0})", np.tanh, mp.tanh, _at_zero(0), lambda a, v: (1.0 - v * v,), 2.0,
        parity="odd"),
     Op("asinh", 1, ca.OP_ASINH, "asinh{f}({0})", np.arcsinh, mp.asinh, _at_zero(0),
-       lambda a, v: (1.0 / np.sqrt(1.0 + a * a),), 2.0, parity="odd"),
+       lambda a, v: (1.0 / np.sqrt(1.0 + a * a),), 2.0, parity="odd", telling=(0,)),
     Op("acosh", 1, ca.OP_ACOSH, "acosh{f}({0})", np.arccosh, mp.acosh, None,
-       lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0),
+       lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0, telling=(0,)),
     Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, mp.atanh, _at_zero(0),
        lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0, parity="odd"),
     Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, mp.power, _exact_pow, _pow_partials, 1.0),
     Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, mp.hypot, None,
-       lambda a, b, v: (_safe(a, v), _safe(b, v)), 1.0, commutative=True),
+       lambda a, b, v: (_safe(a, v), _safe(b, v)), 1.0, commutative=True, telling=(0, 1)),
     Op("fmod", 2, ca.OP_FMOD, "fmod{f}({0}, {1})", np.fmod, lambda a, b: a - b * _truncate(a / b), None,
-       lambda a, b, v: (np.ones_like(a), -np.trunc(_safe(a, b))), 0.0),
+       lambda a, b, v: (np.ones_like(a), -np.trunc(_safe(a, b))), 0.0, telling=(0,)),
     Op("remainder", 2, ca.OP_REMAINDER, "remainder{f}({0}, {1})", _remainder,
-       lambda a, b: a - b * mp.nint(a / b), None, lambda a, b, v: (np.ones_like(a), -np.rint(_safe(a, b))), 0.0),
+       lambda a, b: a - b * mp.nint(a / b), None, lambda a, b, v: (np.ones_like(a), -np.rint(_safe(a, b))), 0.0,
+       telling=(0,)),
     Op("fmin", 2, ca.OP_FMIN, "fmin{f}({0}, {1})", np.fmin, min, min, lambda a, b, v: ((a <= b) * 1.0, (a > b) * 1.0),
        0.0, commutative=True),
     Op("fmax", 2, ca.OP_FMAX, "fmax{f}({0}, {1})", np.fmax, max, max, lambda a, b, v: ((a >= b) * 1.0, (a < b) * 1.0),

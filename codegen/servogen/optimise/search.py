@@ -6,6 +6,7 @@ A new pass is one more entry in SEARCH and its place in ORDERS. passes.py simpli
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 from servogen.ir.program import Program, check_legal
@@ -55,6 +56,9 @@ class Step:
     refused: tuple[str, ...] = ()
 
 
+Attempt = Callable[[Program, str], tuple[Program, Step]]
+
+
 @dataclass(frozen=True)
 class Optimised:
     """The program and how it came about."""
@@ -85,7 +89,8 @@ def search(
     start = optimise(program)
     accuracy = Accuracy.of(start, states)
     orders = ORDERS if tick_operations(start) <= _SMALL else ORDERS[:1]
-    found = [_in_order(start, [n for n in order if n not in without], objective, accuracy) for order in orders]
+    attempt = cache(lambda best, name: _attempt(best, name, objective, accuracy))  # rounds and orders meet again
+    found = [_in_order(start, [n for n in order if n not in without], objective, attempt) for order in orders]
     best = min(found, key=lambda done: objective.cost(done.program))
     part = early_part(best.program)
     if part is None or not any(i.kind == "parameter" for i in start.inputs):
@@ -106,7 +111,7 @@ def _with_early_part(
     return Optimised(found, (*done.steps, step))
 
 
-def _in_order(best: Program, order: list[str], objective: Objective, accuracy: Accuracy) -> Optimised:
+def _in_order(best: Program, order: list[str], objective: Objective, attempt: Attempt) -> Optimised:
     """The passes of one order in turn, round after round."""
     steps: list[Step] = []
     idle: Counter[str] = Counter()
@@ -115,7 +120,7 @@ def _in_order(best: Program, order: list[str], objective: Objective, accuracy: A
         for name in order:
             if idle[name] < _PATIENCE:
                 cost = objective.cost(best)
-                best, step = _attempt(best, name, objective, accuracy)
+                best, step = attempt(best, name)
                 idle[name] = 0 if objective.cost(best) < cost * (1 - _WORTHWHILE) else idle[name] + 1
                 steps.append(step)
         if objective.cost(best) > before * (1 - _WORTHWHILE):

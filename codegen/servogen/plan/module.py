@@ -1,11 +1,13 @@
 """What the planner decides and the printer prints: every name, shape, literal and statement order of one package."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import groupby
 from typing import Any, Literal
 
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
+from servogen.ir.telling import told_inputs
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
@@ -166,6 +168,18 @@ class Module:
         """What the package brings itself of sqrt, reduce, sin, cos, sincos."""
         code = [(self.prepare.program, self.prepare.pairs), *((k.program, k.pairs) for k in self.kernels)]
         return own_functions(code, self.target.math, self.solver is not None)
+
+    def silent(self, kernel: Kernel) -> tuple[tuple[StructField, int, int], ...]:
+        """(input, first, count) of every run of elements that may be NaN or infinite without a result being so."""
+        results = {r.name for r in kernel.results}
+        outputs = tuple(o for o in kernel.program.outputs if o.name in results)  # not the pivots
+        told = told_inputs(replace(kernel.program, outputs=outputs))
+        runs = []
+        for f in self.inputs:
+            for quiet, places in groupby(range(f.size), lambda k, name=f.name: (name, k) not in told):
+                run = list(places)
+                runs += [(f, run[0], len(run))] if quiet else []
+        return tuple(runs)
 
     def context(self) -> dict[str, Any]:
         """What the templates call by name."""

@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.errors import SceneError
 from servogen.plan.known import known_operations
-from servogen.plan.module import Module, cost_of
+from servogen.plan.module import Kernel, Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
@@ -96,7 +96,7 @@ def _context(module: Module) -> dict[str, Any]:
         "emit": _emitted(module),
         "info_type": f"{module.target.prefix}_info",
         "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
-        "unchecked": _unchecked(module),
+        "checked": _checked(module),
         "scene_y": _scene_y(module),
     }
 
@@ -118,12 +118,15 @@ def _emitted(module: Module) -> dict[str, bool]:
     return {"solve": not known, "pinv": True, "known": known}
 
 
-def _unchecked(module: Module) -> list[Any]:
-    """The kernels that their one caller checks itself."""
+def _checked(module: Module) -> list[Kernel]:
+    """The kernels whose results are handed out, or looked at by no solver; the others' callers check what they need."""
+    kernels = [entry.kernel for entry in module.entry_points]
     control = module.control
-    if control is None:
-        return []
-    return [control.known.kernel if control.known else None, control.projection if control.curvature else None]
+    if control is not None and control.reaction is not None:
+        kernels += [control.kernel, control.reaction.kernel]
+    if control is not None and control.projection is not None and not control.curvature:
+        kernels.append(control.projection)
+    return kernels
 
 
 def _scene_y(module: Module) -> str | None:

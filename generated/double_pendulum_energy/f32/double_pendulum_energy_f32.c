@@ -622,6 +622,15 @@ static int double_pendulum_energy_f32_input_finite(const double_pendulum_energy_
            && double_pendulum_energy_f32_finite(&in->E_0, 1);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_reason(const double_pendulum_energy_f32_input *in, int status)
+{
+    if (!double_pendulum_energy_f32_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_f32_eval_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
@@ -649,12 +658,10 @@ static void double_pendulum_energy_f32_eval_psi(const double_pendulum_energy_f32
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
 static int double_pendulum_energy_f32_checked_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
 {
-    if (!double_pendulum_energy_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
-    }
     double_pendulum_energy_f32_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_f32_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_f32_finite(psi, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
@@ -671,12 +678,13 @@ static void double_pendulum_energy_f32_eval_S(const double_pendulum_energy_f32_m
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
 static int double_pendulum_energy_f32_checked_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
-    if (!double_pendulum_energy_f32_input_finite(in)) {
+    if (!(double_pendulum_energy_f32_finite(in->q, 2) && double_pendulum_energy_f32_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
     }
     double_pendulum_energy_f32_eval_S(model, in, S);
-    if (!double_pendulum_energy_f32_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_f32_finite(S, 2))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
@@ -708,12 +716,10 @@ static void double_pendulum_energy_f32_eval_z(const double_pendulum_energy_f32_m
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
 static int double_pendulum_energy_f32_checked_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
 {
-    if (!double_pendulum_energy_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
-    }
     double_pendulum_energy_f32_eval_z(model, in, z);
-    if (!double_pendulum_energy_f32_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_f32_finite(z, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
@@ -749,15 +755,10 @@ static void double_pendulum_energy_f32_eval_S_z(const double_pendulum_energy_f32
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
 static int double_pendulum_energy_f32_checked_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
 {
-    if (!double_pendulum_energy_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
-    }
     double_pendulum_energy_f32_eval_S_z(model, in, S, z);
-    if (!double_pendulum_energy_f32_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_f32_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_f32_finite(S, 2) && double_pendulum_energy_f32_finite(z, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
@@ -899,9 +900,13 @@ int double_pendulum_energy_f32_pinv(const float *S, float *S_pinv, double_pendul
 int double_pendulum_energy_f32_control(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *tau, double_pendulum_energy_f32_info *info)
 {
     float S[2], z[1];
-    const int status = double_pendulum_energy_f32_checked_S_z(model, in, S, z);
+    int status;
+    double_pendulum_energy_f32_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_f32_refuse(status, info);
+        return double_pendulum_energy_f32_refuse(double_pendulum_energy_f32_reason(in, status), info);
     }
-    return double_pendulum_energy_f32_solve_core(S, z, NULL, tau, info);
+    return status;
 }

@@ -656,6 +656,15 @@ static int double_pendulum_energy_input_finite(const double_pendulum_energy_inpu
            && double_pendulum_energy_finite(&in->E_0, 1);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(const double_pendulum_energy_input *in, int status)
+{
+    if (!double_pendulum_energy_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_NONFINITE ? DOUBLE_PENDULUM_ENERGY_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_eval_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
@@ -683,12 +692,10 @@ static void double_pendulum_energy_eval_psi(const double_pendulum_energy_model *
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
 static int double_pendulum_energy_checked_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
 {
-    if (!double_pendulum_energy_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
-    }
     double_pendulum_energy_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
+
+    if (!(double_pendulum_energy_finite(psi, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
@@ -705,12 +712,13 @@ static void double_pendulum_energy_eval_S(const double_pendulum_energy_model *mo
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
 static int double_pendulum_energy_checked_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
-    if (!double_pendulum_energy_input_finite(in)) {
+    if (!(double_pendulum_energy_finite(in->q, 2) && double_pendulum_energy_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
     }
     double_pendulum_energy_eval_S(model, in, S);
-    if (!double_pendulum_energy_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
+
+    if (!(double_pendulum_energy_finite(S, 2))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
@@ -742,12 +750,10 @@ static void double_pendulum_energy_eval_z(const double_pendulum_energy_model *mo
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
 static int double_pendulum_energy_checked_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
-    if (!double_pendulum_energy_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
-    }
     double_pendulum_energy_eval_z(model, in, z);
-    if (!double_pendulum_energy_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
+
+    if (!(double_pendulum_energy_finite(z, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
@@ -783,15 +789,10 @@ static void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
 static int double_pendulum_energy_checked_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
-    if (!double_pendulum_energy_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
-    }
     double_pendulum_energy_eval_S_z(model, in, S, z);
-    if (!double_pendulum_energy_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
-    }
-    if (!double_pendulum_energy_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_OVERFLOW;
+
+    if (!(double_pendulum_energy_finite(S, 2) && double_pendulum_energy_finite(z, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
@@ -933,9 +934,13 @@ int double_pendulum_energy_pinv(const double *S, double *S_pinv, double_pendulum
 int double_pendulum_energy_control(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *tau, double_pendulum_energy_info *info)
 {
     double S[2], z[1];
-    const int status = double_pendulum_energy_checked_S_z(model, in, S, z);
+    int status;
+    double_pendulum_energy_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_refuse(status, info);
+        return double_pendulum_energy_refuse(double_pendulum_energy_reason(in, status), info);
     }
-    return double_pendulum_energy_solve_core(S, z, NULL, tau, info);
+    return status;
 }

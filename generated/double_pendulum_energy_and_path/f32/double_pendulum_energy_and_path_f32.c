@@ -1255,6 +1255,22 @@ static int double_pendulum_energy_and_path_f32_input_finite(const double_pendulu
            && double_pendulum_energy_and_path_f32_finite(&in->E_0, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD __attribute__((noinline, cold))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_reason(const double_pendulum_energy_and_path_f32_input *in, int status)
+{
+    if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_and_path_f32_eval_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
@@ -1286,12 +1302,10 @@ static void double_pendulum_energy_and_path_f32_eval_psi(const double_pendulum_e
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK, or a negative status. */
 static int double_pendulum_energy_and_path_f32_checked_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
 {
-    if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
-    }
     double_pendulum_energy_and_path_f32_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_and_path_f32_finite(psi, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_f32_finite(psi, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
@@ -1331,16 +1345,17 @@ static int double_pendulum_energy_and_path_f32_checked_S(const double_pendulum_e
 {
     float mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
+    if (!(double_pendulum_energy_and_path_f32_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
     }
     double_pendulum_energy_and_path_f32_eval_S(model, in, S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_f32_finite(S, 4)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_f32_finite(S, 4))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
@@ -1413,16 +1428,14 @@ static int double_pendulum_energy_and_path_f32_checked_z(const double_pendulum_e
 {
     float mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
-    }
     double_pendulum_energy_and_path_f32_eval_z(model, in, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_f32_finite(z, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_f32_finite(z, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
@@ -1502,19 +1515,14 @@ static int double_pendulum_energy_and_path_f32_checked_S_z(const double_pendulum
 {
     float mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
-    }
     double_pendulum_energy_and_path_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_f32_finite(S, 4)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_and_path_f32_finite(z, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_f32_finite(S, 4) && double_pendulum_energy_and_path_f32_finite(z, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
@@ -1672,9 +1680,18 @@ int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, doub
 int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *tau, double_pendulum_energy_and_path_f32_info *info)
 {
     float S[4], z[2];
-    const int status = double_pendulum_energy_and_path_f32_checked_S_z(model, in, S, z);
+    float mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_refuse(status, info);
+        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(in, status), info);
     }
-    return double_pendulum_energy_and_path_f32_solve_core(S, z, NULL, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_and_path_f32_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(in, status), info);
+    }
+    return status;
 }

@@ -1289,6 +1289,22 @@ static int double_pendulum_energy_and_path_input_finite(const double_pendulum_en
            && double_pendulum_energy_and_path_finite(&in->E_0, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD __attribute__((noinline, cold))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_reason(const double_pendulum_energy_and_path_input *in, int status)
+{
+    if (!double_pendulum_energy_and_path_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_and_path_eval_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
@@ -1320,12 +1336,10 @@ static void double_pendulum_energy_and_path_eval_psi(const double_pendulum_energ
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_OK, or a negative status. */
 static int double_pendulum_energy_and_path_checked_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
 {
-    if (!double_pendulum_energy_and_path_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
-    }
     double_pendulum_energy_and_path_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_and_path_finite(psi, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_finite(psi, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
@@ -1365,16 +1379,17 @@ static int double_pendulum_energy_and_path_checked_S(const double_pendulum_energ
 {
     double mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_input_finite(in)) {
+    if (!(double_pendulum_energy_and_path_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
     }
     double_pendulum_energy_and_path_eval_S(model, in, S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_finite(S, 4)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_finite(S, 4))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
@@ -1447,16 +1462,14 @@ static int double_pendulum_energy_and_path_checked_z(const double_pendulum_energ
 {
     double mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
-    }
     double_pendulum_energy_and_path_eval_z(model, in, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_finite(z, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_finite(z, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
@@ -1536,19 +1549,14 @@ static int double_pendulum_energy_and_path_checked_S_z(const double_pendulum_ene
 {
     double mass_pivot[1], mass_scale[1];
     int status;
-    if (!double_pendulum_energy_and_path_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
-    }
     double_pendulum_energy_and_path_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
     }
-    if (!double_pendulum_energy_and_path_finite(S, 4)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW;
-    }
-    if (!double_pendulum_energy_and_path_finite(z, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW;
+
+    if (!(double_pendulum_energy_and_path_finite(S, 4) && double_pendulum_energy_and_path_finite(z, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
@@ -1706,9 +1714,18 @@ int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double
 int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info)
 {
     double S[4], z[2];
-    const int status = double_pendulum_energy_and_path_checked_S_z(model, in, S, z);
+    double mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_refuse(status, info);
+        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(in, status), info);
     }
-    return double_pendulum_energy_and_path_solve_core(S, z, NULL, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_and_path_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(in, status), info);
+    }
+    return status;
 }

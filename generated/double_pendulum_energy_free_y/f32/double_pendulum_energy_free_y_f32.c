@@ -648,6 +648,15 @@ static int double_pendulum_energy_free_y_f32_input_finite(const double_pendulum_
            && double_pendulum_energy_free_y_f32_finite(&in->E_0, 1);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_reason(const double_pendulum_energy_free_y_f32_input *in, int status)
+{
+    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_free_y_f32_eval_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
@@ -675,12 +684,10 @@ static void double_pendulum_energy_free_y_f32_eval_psi(const double_pendulum_ene
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK, or a negative status. */
 static int double_pendulum_energy_free_y_f32_checked_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
 {
-    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
-    }
     double_pendulum_energy_free_y_f32_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_free_y_f32_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_f32_finite(psi, 1))) {
+        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
@@ -697,12 +704,13 @@ static void double_pendulum_energy_free_y_f32_eval_S(const double_pendulum_energ
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK, or a negative status. */
 static int double_pendulum_energy_free_y_f32_checked_S(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
 {
-    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
+    if (!(double_pendulum_energy_free_y_f32_finite(in->q, 2) && double_pendulum_energy_free_y_f32_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
     }
     double_pendulum_energy_free_y_f32_eval_S(model, in, S);
-    if (!double_pendulum_energy_free_y_f32_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_f32_finite(S, 2))) {
+        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
@@ -734,12 +742,10 @@ static void double_pendulum_energy_free_y_f32_eval_z(const double_pendulum_energ
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK, or a negative status. */
 static int double_pendulum_energy_free_y_f32_checked_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
 {
-    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
-    }
     double_pendulum_energy_free_y_f32_eval_z(model, in, z);
-    if (!double_pendulum_energy_free_y_f32_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_f32_finite(z, 1))) {
+        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
@@ -775,15 +781,10 @@ static void double_pendulum_energy_free_y_f32_eval_S_z(const double_pendulum_ene
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK, or a negative status. */
 static int double_pendulum_energy_free_y_f32_checked_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
 {
-    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
-    }
     double_pendulum_energy_free_y_f32_eval_S_z(model, in, S, z);
-    if (!double_pendulum_energy_free_y_f32_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_f32_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_f32_finite(S, 2) && double_pendulum_energy_free_y_f32_finite(z, 1))) {
+        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
@@ -854,24 +855,6 @@ static void double_pendulum_energy_free_y_f32_eval_S_z_y(const double_pendulum_e
     y[1] = t52;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK, or a negative status. */
-static int double_pendulum_energy_free_y_f32_checked_S_z_y(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z, float *y)
-{
-    if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
-    }
-    double_pendulum_energy_free_y_f32_eval_S_z_y(model, in, S, z, y);
-    if (!double_pendulum_energy_free_y_f32_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_f32_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_f32_finite(y, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW;
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-}
 
 int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_y_f32_params *params, double_pendulum_energy_free_y_f32_model *model)
 {
@@ -1053,9 +1036,13 @@ int double_pendulum_energy_free_y_f32_pinv(const float *S, float *S_pinv, double
 int double_pendulum_energy_free_y_f32_control(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     float S[2], z[1], y[2];
-    const int status = double_pendulum_energy_free_y_f32_checked_S_z_y(model, in, S, z, y);
+    int status;
+    double_pendulum_energy_free_y_f32_eval_S_z_y(model, in, S, z, y);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_free_y_f32_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_free_y_f32_refuse(status, info);
+        return double_pendulum_energy_free_y_f32_refuse(double_pendulum_energy_free_y_f32_reason(in, status), info);
     }
-    return double_pendulum_energy_free_y_f32_solve_core(S, z, y, tau, info);
+    return status;
 }

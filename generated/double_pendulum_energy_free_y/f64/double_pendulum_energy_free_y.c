@@ -682,6 +682,15 @@ static int double_pendulum_energy_free_y_input_finite(const double_pendulum_ener
            && double_pendulum_energy_free_y_finite(&in->E_0, 1);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_reason(const double_pendulum_energy_free_y_input *in, int status)
+{
+    if (!double_pendulum_energy_free_y_input_finite(in)) {
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE ? DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW : status;
+}
+
 static void double_pendulum_energy_free_y_eval_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
@@ -709,12 +718,10 @@ static void double_pendulum_energy_free_y_eval_psi(const double_pendulum_energy_
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
 static int double_pendulum_energy_free_y_checked_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
 {
-    if (!double_pendulum_energy_free_y_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
-    }
     double_pendulum_energy_free_y_eval_psi(model, in, psi);
-    if (!double_pendulum_energy_free_y_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_finite(psi, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
@@ -731,12 +738,13 @@ static void double_pendulum_energy_free_y_eval_S(const double_pendulum_energy_fr
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
 static int double_pendulum_energy_free_y_checked_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
 {
-    if (!double_pendulum_energy_free_y_input_finite(in)) {
+    if (!(double_pendulum_energy_free_y_finite(in->q, 2) && double_pendulum_energy_free_y_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
     }
     double_pendulum_energy_free_y_eval_S(model, in, S);
-    if (!double_pendulum_energy_free_y_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_finite(S, 2))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
@@ -768,12 +776,10 @@ static void double_pendulum_energy_free_y_eval_z(const double_pendulum_energy_fr
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
 static int double_pendulum_energy_free_y_checked_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
 {
-    if (!double_pendulum_energy_free_y_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
-    }
     double_pendulum_energy_free_y_eval_z(model, in, z);
-    if (!double_pendulum_energy_free_y_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_finite(z, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
@@ -809,15 +815,10 @@ static void double_pendulum_energy_free_y_eval_S_z(const double_pendulum_energy_
 /* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
 static int double_pendulum_energy_free_y_checked_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
 {
-    if (!double_pendulum_energy_free_y_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
-    }
     double_pendulum_energy_free_y_eval_S_z(model, in, S, z);
-    if (!double_pendulum_energy_free_y_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
+
+    if (!(double_pendulum_energy_free_y_finite(S, 2) && double_pendulum_energy_free_y_finite(z, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
@@ -888,24 +889,6 @@ static void double_pendulum_energy_free_y_eval_S_z_y(const double_pendulum_energ
     y[1] = t52;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
-static int double_pendulum_energy_free_y_checked_S_z_y(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z, double *y)
-{
-    if (!double_pendulum_energy_free_y_input_finite(in)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
-    }
-    double_pendulum_energy_free_y_eval_S_z_y(model, in, S, z, y);
-    if (!double_pendulum_energy_free_y_finite(S, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_finite(z, 1)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
-    }
-    if (!double_pendulum_energy_free_y_finite(y, 2)) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW;
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-}
 
 int double_pendulum_energy_free_y_prepare(const double_pendulum_energy_free_y_params *params, double_pendulum_energy_free_y_model *model)
 {
@@ -1087,9 +1070,13 @@ int double_pendulum_energy_free_y_pinv(const double *S, double *S_pinv, double_p
 int double_pendulum_energy_free_y_control(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *tau, double_pendulum_energy_free_y_info *info)
 {
     double S[2], z[1], y[2];
-    const int status = double_pendulum_energy_free_y_checked_S_z_y(model, in, S, z, y);
+    int status;
+    double_pendulum_energy_free_y_eval_S_z_y(model, in, S, z, y);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = double_pendulum_energy_free_y_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_free_y_refuse(status, info);
+        return double_pendulum_energy_free_y_refuse(double_pendulum_energy_free_y_reason(in, status), info);
     }
-    return double_pendulum_energy_free_y_solve_core(S, z, y, tau, info);
+    return status;
 }

@@ -1398,6 +1398,22 @@ static int double_pendulum_ideal_f32_input_finite(const double_pendulum_ideal_f3
            && double_pendulum_ideal_f32_finite(&in->E_0, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD __attribute__((noinline, cold))
+#else
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(const double_pendulum_ideal_f32_input *in, int status)
+{
+    if (!double_pendulum_ideal_f32_input_finite(in)) {
+        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_IDEAL_F32_NONFINITE ? DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW : status;
+}
+
 static void double_pendulum_ideal_f32_eval_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
 {
     const float t0 = model->c1 * in->u[1];
@@ -1429,12 +1445,10 @@ static void double_pendulum_ideal_f32_eval_psi(const double_pendulum_ideal_f32_m
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
 static int double_pendulum_ideal_f32_checked_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
 {
-    if (!double_pendulum_ideal_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
-    }
     double_pendulum_ideal_f32_eval_psi(model, in, psi);
-    if (!double_pendulum_ideal_f32_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
+
+    if (!(double_pendulum_ideal_f32_finite(psi, 1))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
@@ -1465,12 +1479,13 @@ static void double_pendulum_ideal_f32_eval_T(const double_pendulum_ideal_f32_mod
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
 static int double_pendulum_ideal_f32_checked_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
 {
-    if (!double_pendulum_ideal_f32_input_finite(in)) {
+    if (!(double_pendulum_ideal_f32_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
     }
     double_pendulum_ideal_f32_eval_T(model, in, T);
-    if (!double_pendulum_ideal_f32_finite(T, 4)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
+
+    if (!(double_pendulum_ideal_f32_finite(T, 4))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
@@ -1528,12 +1543,10 @@ static void double_pendulum_ideal_f32_eval_F(const double_pendulum_ideal_f32_mod
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
 static int double_pendulum_ideal_f32_checked_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
 {
-    if (!double_pendulum_ideal_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
-    }
     double_pendulum_ideal_f32_eval_F(model, in, F);
-    if (!double_pendulum_ideal_f32_finite(F, 2)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
+
+    if (!(double_pendulum_ideal_f32_finite(F, 2))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
@@ -1576,18 +1589,10 @@ static void double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(cons
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
 static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix, float *reaction_right, float *J)
 {
-    if (!double_pendulum_ideal_f32_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
-    }
     double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
-    if (!double_pendulum_ideal_f32_finite(reaction_matrix, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
-    }
-    if (!double_pendulum_ideal_f32_finite(reaction_right, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
-    }
-    if (!double_pendulum_ideal_f32_finite(J, 2)) {
-        return DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW;
+
+    if (!(double_pendulum_ideal_f32_finite(reaction_matrix, 1) && double_pendulum_ideal_f32_finite(reaction_right, 1) && double_pendulum_ideal_f32_finite(J, 2))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
@@ -1820,7 +1825,10 @@ int double_pendulum_ideal_f32_control(const double_pendulum_ideal_f32_model *mod
         return double_pendulum_ideal_f32_refuse(reaction, info);
     }
     status = double_pendulum_ideal_f32_solve_known(double_pendulum_ideal_f32_known_matrix, double_pendulum_ideal_f32_known_pinv, &double_pendulum_ideal_f32_known_info, R, NULL, tau, info);
-    if (status >= 0 && reaction > status) { /* the constraints themselves could not all be met */
+    if (status < 0) {
+        return double_pendulum_ideal_f32_refuse(double_pendulum_ideal_f32_reason(in, status), info);
+    }
+    if (reaction > status) { /* the constraints themselves could not all be met */
         status = reaction;
         if (info != NULL) {
             info->status = status;

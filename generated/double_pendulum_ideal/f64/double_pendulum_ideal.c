@@ -1432,6 +1432,22 @@ static int double_pendulum_ideal_input_finite(const double_pendulum_ideal_input 
            && double_pendulum_ideal_finite(&in->E_0, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
+#else
+#define DOUBLE_PENDULUM_IDEAL_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(const double_pendulum_ideal_input *in, int status)
+{
+    if (!double_pendulum_ideal_input_finite(in)) {
+        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
+    }
+    return status == DOUBLE_PENDULUM_IDEAL_NONFINITE ? DOUBLE_PENDULUM_IDEAL_OVERFLOW : status;
+}
+
 static void double_pendulum_ideal_eval_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
 {
     const double t0 = model->c1 * in->u[1];
@@ -1463,12 +1479,10 @@ static void double_pendulum_ideal_eval_psi(const double_pendulum_ideal_model *mo
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
 static int double_pendulum_ideal_checked_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
 {
-    if (!double_pendulum_ideal_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
-    }
     double_pendulum_ideal_eval_psi(model, in, psi);
-    if (!double_pendulum_ideal_finite(psi, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
+
+    if (!(double_pendulum_ideal_finite(psi, 1))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
@@ -1499,12 +1513,13 @@ static void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *mode
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
 static int double_pendulum_ideal_checked_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
 {
-    if (!double_pendulum_ideal_input_finite(in)) {
+    if (!(double_pendulum_ideal_finite(&in->E_0, 1))) {
         return DOUBLE_PENDULUM_IDEAL_NONFINITE;
     }
     double_pendulum_ideal_eval_T(model, in, T);
-    if (!double_pendulum_ideal_finite(T, 4)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
+
+    if (!(double_pendulum_ideal_finite(T, 4))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
@@ -1562,12 +1577,10 @@ static void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *mode
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
 static int double_pendulum_ideal_checked_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
 {
-    if (!double_pendulum_ideal_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
-    }
     double_pendulum_ideal_eval_F(model, in, F);
-    if (!double_pendulum_ideal_finite(F, 2)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
+
+    if (!(double_pendulum_ideal_finite(F, 2))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
@@ -1610,18 +1623,10 @@ static void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(const do
 /* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
 static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
 {
-    if (!double_pendulum_ideal_input_finite(in)) {
-        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
-    }
     double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
-    if (!double_pendulum_ideal_finite(reaction_matrix, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
-    }
-    if (!double_pendulum_ideal_finite(reaction_right, 1)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
-    }
-    if (!double_pendulum_ideal_finite(J, 2)) {
-        return DOUBLE_PENDULUM_IDEAL_OVERFLOW;
+
+    if (!(double_pendulum_ideal_finite(reaction_matrix, 1) && double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
@@ -1854,7 +1859,10 @@ int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, cons
         return double_pendulum_ideal_refuse(reaction, info);
     }
     status = double_pendulum_ideal_solve_known(double_pendulum_ideal_known_matrix, double_pendulum_ideal_known_pinv, &double_pendulum_ideal_known_info, R, NULL, tau, info);
-    if (status >= 0 && reaction > status) { /* the constraints themselves could not all be met */
+    if (status < 0) {
+        return double_pendulum_ideal_refuse(double_pendulum_ideal_reason(in, status), info);
+    }
+    if (reaction > status) { /* the constraints themselves could not all be met */
         status = reaction;
         if (info != NULL) {
             info->status = status;

@@ -1516,6 +1516,22 @@ static int iiwa_pose_f32_input_finite(const iiwa_pose_f32_input *in)
            && iiwa_pose_f32_finite(in->o, 4);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define IIWA_POSE_F32_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSE_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static IIWA_POSE_F32_COLD int iiwa_pose_f32_reason(const iiwa_pose_f32_input *in, int status)
+{
+    if (!iiwa_pose_f32_input_finite(in)) {
+        return IIWA_POSE_F32_NONFINITE;
+    }
+    return status == IIWA_POSE_F32_NONFINITE ? IIWA_POSE_F32_OVERFLOW : status;
+}
+
 static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
 {
     (void)model;
@@ -1715,12 +1731,13 @@ static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_
 /* The same behind its checks: IIWA_POSE_F32_OK, or a negative status. */
 static int iiwa_pose_f32_checked_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
 {
-    if (!iiwa_pose_f32_input_finite(in)) {
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
         return IIWA_POSE_F32_NONFINITE;
     }
     iiwa_pose_f32_eval_psi(model, in, psi);
-    if (!iiwa_pose_f32_finite(psi, 6)) {
-        return IIWA_POSE_F32_OVERFLOW;
+
+    if (!(iiwa_pose_f32_finite(psi, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     return IIWA_POSE_F32_OK;
 }
@@ -2889,16 +2906,17 @@ static int iiwa_pose_f32_checked_S(const iiwa_pose_f32_model *model, const iiwa_
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_f32_input_finite(in)) {
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
         return IIWA_POSE_F32_NONFINITE;
     }
     iiwa_pose_f32_eval_S(model, in, S, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
     }
-    if (!iiwa_pose_f32_finite(S, 42)) {
-        return IIWA_POSE_F32_OVERFLOW;
+
+    if (!(iiwa_pose_f32_finite(S, 42))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     return IIWA_POSE_F32_OK;
 }
@@ -4582,16 +4600,14 @@ static int iiwa_pose_f32_checked_z(const iiwa_pose_f32_model *model, const iiwa_
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_f32_input_finite(in)) {
-        return IIWA_POSE_F32_NONFINITE;
-    }
     iiwa_pose_f32_eval_z(model, in, z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
     }
-    if (!iiwa_pose_f32_finite(z, 6)) {
-        return IIWA_POSE_F32_OVERFLOW;
+
+    if (!(iiwa_pose_f32_finite(z, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     return IIWA_POSE_F32_OK;
 }
@@ -6378,19 +6394,14 @@ static int iiwa_pose_f32_checked_S_z(const iiwa_pose_f32_model *model, const iiw
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_f32_input_finite(in)) {
-        return IIWA_POSE_F32_NONFINITE;
-    }
     iiwa_pose_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
     }
-    if (!iiwa_pose_f32_finite(S, 42)) {
-        return IIWA_POSE_F32_OVERFLOW;
-    }
-    if (!iiwa_pose_f32_finite(z, 6)) {
-        return IIWA_POSE_F32_OVERFLOW;
+
+    if (!(iiwa_pose_f32_finite(S, 42) && iiwa_pose_f32_finite(z, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     return IIWA_POSE_F32_OK;
 }
@@ -6462,9 +6473,18 @@ int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
 int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau, iiwa_pose_f32_info *info)
 {
     float S[42], z[6];
-    const int status = iiwa_pose_f32_checked_S_z(model, in, S, z);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_refuse(status, info);
+        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(in, status), info);
     }
-    return iiwa_pose_f32_solve_core(S, z, NULL, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = iiwa_pose_f32_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(in, status), info);
+    }
+    return status;
 }

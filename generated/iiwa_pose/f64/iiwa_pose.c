@@ -1550,6 +1550,22 @@ static int iiwa_pose_input_finite(const iiwa_pose_input *in)
            && iiwa_pose_finite(in->o, 4);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define IIWA_POSE_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSE_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static IIWA_POSE_COLD int iiwa_pose_reason(const iiwa_pose_input *in, int status)
+{
+    if (!iiwa_pose_input_finite(in)) {
+        return IIWA_POSE_NONFINITE;
+    }
+    return status == IIWA_POSE_NONFINITE ? IIWA_POSE_OVERFLOW : status;
+}
+
 static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, double *psi)
 {
     (void)model;
@@ -1749,12 +1765,13 @@ static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_inp
 /* The same behind its checks: IIWA_POSE_OK, or a negative status. */
 static int iiwa_pose_checked_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, double *psi)
 {
-    if (!iiwa_pose_input_finite(in)) {
+    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
         return IIWA_POSE_NONFINITE;
     }
     iiwa_pose_eval_psi(model, in, psi);
-    if (!iiwa_pose_finite(psi, 6)) {
-        return IIWA_POSE_OVERFLOW;
+
+    if (!(iiwa_pose_finite(psi, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     return IIWA_POSE_OK;
 }
@@ -2923,16 +2940,17 @@ static int iiwa_pose_checked_S(const iiwa_pose_model *model, const iiwa_pose_inp
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_input_finite(in)) {
+    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
         return IIWA_POSE_NONFINITE;
     }
     iiwa_pose_eval_S(model, in, S, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
     }
-    if (!iiwa_pose_finite(S, 42)) {
-        return IIWA_POSE_OVERFLOW;
+
+    if (!(iiwa_pose_finite(S, 42))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     return IIWA_POSE_OK;
 }
@@ -4616,16 +4634,14 @@ static int iiwa_pose_checked_z(const iiwa_pose_model *model, const iiwa_pose_inp
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_input_finite(in)) {
-        return IIWA_POSE_NONFINITE;
-    }
     iiwa_pose_eval_z(model, in, z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
     }
-    if (!iiwa_pose_finite(z, 6)) {
-        return IIWA_POSE_OVERFLOW;
+
+    if (!(iiwa_pose_finite(z, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     return IIWA_POSE_OK;
 }
@@ -6412,19 +6428,14 @@ static int iiwa_pose_checked_S_z(const iiwa_pose_model *model, const iiwa_pose_i
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_pose_input_finite(in)) {
-        return IIWA_POSE_NONFINITE;
-    }
     iiwa_pose_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
     }
-    if (!iiwa_pose_finite(S, 42)) {
-        return IIWA_POSE_OVERFLOW;
-    }
-    if (!iiwa_pose_finite(z, 6)) {
-        return IIWA_POSE_OVERFLOW;
+
+    if (!(iiwa_pose_finite(S, 42) && iiwa_pose_finite(z, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     return IIWA_POSE_OK;
 }
@@ -6496,9 +6507,18 @@ int iiwa_pose_pinv(const double *S, double *S_pinv, iiwa_pose_info *info)
 int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, double *tau, iiwa_pose_info *info)
 {
     double S[42], z[6];
-    const int status = iiwa_pose_checked_S_z(model, in, S, z);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_refuse(status, info);
+        return iiwa_pose_refuse(iiwa_pose_reason(in, status), info);
     }
-    return iiwa_pose_solve_core(S, z, NULL, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = iiwa_pose_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return iiwa_pose_refuse(iiwa_pose_reason(in, status), info);
+    }
+    return status;
 }

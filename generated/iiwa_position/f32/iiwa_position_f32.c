@@ -1362,6 +1362,22 @@ static int iiwa_position_f32_input_finite(const iiwa_position_f32_input *in)
            && iiwa_position_f32_finite(in->r_ddot, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define IIWA_POSITION_F32_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSITION_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static IIWA_POSITION_F32_COLD int iiwa_position_f32_reason(const iiwa_position_f32_input *in, int status)
+{
+    if (!iiwa_position_f32_input_finite(in)) {
+        return IIWA_POSITION_F32_NONFINITE;
+    }
+    return status == IIWA_POSITION_F32_NONFINITE ? IIWA_POSITION_F32_OVERFLOW : status;
+}
+
 static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
 {
     (void)model;
@@ -1453,12 +1469,13 @@ static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, con
 /* The same behind its checks: IIWA_POSITION_F32_OK, or a negative status. */
 static int iiwa_position_f32_checked_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
 {
-    if (!iiwa_position_f32_input_finite(in)) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
         return IIWA_POSITION_F32_NONFINITE;
     }
     iiwa_position_f32_eval_psi(model, in, psi);
-    if (!iiwa_position_f32_finite(psi, 3)) {
-        return IIWA_POSITION_F32_OVERFLOW;
+
+    if (!(iiwa_position_f32_finite(psi, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     return IIWA_POSITION_F32_OK;
 }
@@ -2146,16 +2163,17 @@ static int iiwa_position_f32_checked_S(const iiwa_position_f32_model *model, con
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_f32_input_finite(in)) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
         return IIWA_POSITION_F32_NONFINITE;
     }
     iiwa_position_f32_eval_S(model, in, S, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
     }
-    if (!iiwa_position_f32_finite(S, 21)) {
-        return IIWA_POSITION_F32_OVERFLOW;
+
+    if (!(iiwa_position_f32_finite(S, 21))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     return IIWA_POSITION_F32_OK;
 }
@@ -3237,16 +3255,17 @@ static int iiwa_position_f32_checked_z(const iiwa_position_f32_model *model, con
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_f32_input_finite(in)) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
         return IIWA_POSITION_F32_NONFINITE;
     }
     iiwa_position_f32_eval_z(model, in, z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
     }
-    if (!iiwa_position_f32_finite(z, 3)) {
-        return IIWA_POSITION_F32_OVERFLOW;
+
+    if (!(iiwa_position_f32_finite(z, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     return IIWA_POSITION_F32_OK;
 }
@@ -4377,19 +4396,17 @@ static int iiwa_position_f32_checked_S_z(const iiwa_position_f32_model *model, c
 {
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_f32_input_finite(in)) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
         return IIWA_POSITION_F32_NONFINITE;
     }
     iiwa_position_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
     }
-    if (!iiwa_position_f32_finite(S, 21)) {
-        return IIWA_POSITION_F32_OVERFLOW;
-    }
-    if (!iiwa_position_f32_finite(z, 3)) {
-        return IIWA_POSITION_F32_OVERFLOW;
+
+    if (!(iiwa_position_f32_finite(S, 21) && iiwa_position_f32_finite(z, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     return IIWA_POSITION_F32_OK;
 }
@@ -4461,9 +4478,21 @@ int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info
 int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *tau, iiwa_position_f32_info *info)
 {
     float S[21], z[3];
-    const int status = iiwa_position_f32_checked_S_z(model, in, S, z);
-    if (status < 0) {
-        return iiwa_position_f32_refuse(status, info);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
+        return iiwa_position_f32_refuse(IIWA_POSITION_F32_NONFINITE, info);
     }
-    return iiwa_position_f32_solve_core(S, z, NULL, tau, info);
+    iiwa_position_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
+    if (status < 0) {
+        return iiwa_position_f32_refuse(iiwa_position_f32_reason(in, status), info);
+    }
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = iiwa_position_f32_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return iiwa_position_f32_refuse(iiwa_position_f32_reason(in, status), info);
+    }
+    return status;
 }

@@ -1396,6 +1396,22 @@ static int iiwa_position_input_finite(const iiwa_position_input *in)
            && iiwa_position_finite(in->r_ddot, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define IIWA_POSITION_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSITION_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static IIWA_POSITION_COLD int iiwa_position_reason(const iiwa_position_input *in, int status)
+{
+    if (!iiwa_position_input_finite(in)) {
+        return IIWA_POSITION_NONFINITE;
+    }
+    return status == IIWA_POSITION_NONFINITE ? IIWA_POSITION_OVERFLOW : status;
+}
+
 static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
 {
     (void)model;
@@ -1487,12 +1503,13 @@ static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_
 /* The same behind its checks: IIWA_POSITION_OK, or a negative status. */
 static int iiwa_position_checked_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
 {
-    if (!iiwa_position_input_finite(in)) {
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
         return IIWA_POSITION_NONFINITE;
     }
     iiwa_position_eval_psi(model, in, psi);
-    if (!iiwa_position_finite(psi, 3)) {
-        return IIWA_POSITION_OVERFLOW;
+
+    if (!(iiwa_position_finite(psi, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     return IIWA_POSITION_OK;
 }
@@ -2180,16 +2197,17 @@ static int iiwa_position_checked_S(const iiwa_position_model *model, const iiwa_
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_input_finite(in)) {
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
         return IIWA_POSITION_NONFINITE;
     }
     iiwa_position_eval_S(model, in, S, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
     }
-    if (!iiwa_position_finite(S, 21)) {
-        return IIWA_POSITION_OVERFLOW;
+
+    if (!(iiwa_position_finite(S, 21))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     return IIWA_POSITION_OK;
 }
@@ -3271,16 +3289,17 @@ static int iiwa_position_checked_z(const iiwa_position_model *model, const iiwa_
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_input_finite(in)) {
+    if (!(iiwa_position_finite(in->q + 6, 1))) {
         return IIWA_POSITION_NONFINITE;
     }
     iiwa_position_eval_z(model, in, z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
     }
-    if (!iiwa_position_finite(z, 3)) {
-        return IIWA_POSITION_OVERFLOW;
+
+    if (!(iiwa_position_finite(z, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     return IIWA_POSITION_OK;
 }
@@ -4411,19 +4430,17 @@ static int iiwa_position_checked_S_z(const iiwa_position_model *model, const iiw
 {
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!iiwa_position_input_finite(in)) {
+    if (!(iiwa_position_finite(in->q + 6, 1))) {
         return IIWA_POSITION_NONFINITE;
     }
     iiwa_position_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
     }
-    if (!iiwa_position_finite(S, 21)) {
-        return IIWA_POSITION_OVERFLOW;
-    }
-    if (!iiwa_position_finite(z, 3)) {
-        return IIWA_POSITION_OVERFLOW;
+
+    if (!(iiwa_position_finite(S, 21) && iiwa_position_finite(z, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     return IIWA_POSITION_OK;
 }
@@ -4495,9 +4512,21 @@ int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info
 int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau, iiwa_position_info *info)
 {
     double S[21], z[3];
-    const int status = iiwa_position_checked_S_z(model, in, S, z);
-    if (status < 0) {
-        return iiwa_position_refuse(status, info);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_finite(in->q + 6, 1))) {
+        return iiwa_position_refuse(IIWA_POSITION_NONFINITE, info);
     }
-    return iiwa_position_solve_core(S, z, NULL, tau, info);
+    iiwa_position_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
+    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
+    if (status < 0) {
+        return iiwa_position_refuse(iiwa_position_reason(in, status), info);
+    }
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = iiwa_position_solve_core(S, z, NULL, tau, info);
+    if (status < 0) {
+        return iiwa_position_refuse(iiwa_position_reason(in, status), info);
+    }
+    return status;
 }

@@ -1230,6 +1230,22 @@ static int planar_arm_3r_damped_f32_input_finite(const planar_arm_3r_damped_f32_
            && planar_arm_3r_damped_f32_finite(in->r_ddot, 2);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_DAMPED_F32_COLD __attribute__((noinline, cold))
+#else
+#define PLANAR_ARM_3R_DAMPED_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static PLANAR_ARM_3R_DAMPED_F32_COLD int planar_arm_3r_damped_f32_reason(const planar_arm_3r_damped_f32_input *in, int status)
+{
+    if (!planar_arm_3r_damped_f32_input_finite(in)) {
+        return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
+    }
+    return status == PLANAR_ARM_3R_DAMPED_F32_NONFINITE ? PLANAR_ARM_3R_DAMPED_F32_OVERFLOW : status;
+}
+
 static void planar_arm_3r_damped_f32_eval_psi(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *psi)
 {
     const planar_arm_3r_damped_f32_pair t0 = planar_arm_3r_damped_f32_sincos(in->q[0]);
@@ -1257,12 +1273,13 @@ static void planar_arm_3r_damped_f32_eval_psi(const planar_arm_3r_damped_f32_mod
 /* The same behind its checks: PLANAR_ARM_3R_DAMPED_F32_OK, or a negative status. */
 static int planar_arm_3r_damped_f32_checked_psi(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *psi)
 {
-    if (!planar_arm_3r_damped_f32_input_finite(in)) {
+    if (!(planar_arm_3r_damped_f32_finite(in->u, 3) && planar_arm_3r_damped_f32_finite(in->r_dot, 2) && planar_arm_3r_damped_f32_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
     }
     planar_arm_3r_damped_f32_eval_psi(model, in, psi);
-    if (!planar_arm_3r_damped_f32_finite(psi, 2)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_f32_finite(psi, 2))) {
+        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_F32_OK;
 }
@@ -1407,16 +1424,17 @@ static int planar_arm_3r_damped_f32_checked_S(const planar_arm_3r_damped_f32_mod
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_f32_input_finite(in)) {
+    if (!(planar_arm_3r_damped_f32_finite(in->u, 3) && planar_arm_3r_damped_f32_finite(in->r, 2) && planar_arm_3r_damped_f32_finite(in->r_dot, 2) && planar_arm_3r_damped_f32_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
     }
     planar_arm_3r_damped_f32_eval_S(model, in, S, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_f32_reason(in, status);
     }
-    if (!planar_arm_3r_damped_f32_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_f32_finite(S, 6))) {
+        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_F32_OK;
 }
@@ -1690,16 +1708,14 @@ static int planar_arm_3r_damped_f32_checked_z(const planar_arm_3r_damped_f32_mod
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
-    }
     planar_arm_3r_damped_f32_eval_z(model, in, z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_f32_reason(in, status);
     }
-    if (!planar_arm_3r_damped_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_f32_finite(z, 2))) {
+        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_F32_OK;
 }
@@ -1980,19 +1996,14 @@ static int planar_arm_3r_damped_f32_checked_S_z(const planar_arm_3r_damped_f32_m
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
-    }
     planar_arm_3r_damped_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_f32_reason(in, status);
     }
-    if (!planar_arm_3r_damped_f32_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_f32_finite(S, 6) && planar_arm_3r_damped_f32_finite(z, 2))) {
+        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_F32_OK;
 }
@@ -2275,30 +2286,6 @@ static void planar_arm_3r_damped_f32_eval_S_z_y(const planar_arm_3r_damped_f32_m
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_F32_OK, or a negative status. */
-static int planar_arm_3r_damped_f32_checked_S_z_y(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *S, float *z, float *y)
-{
-    float mass_pivot[3], mass_scale[3];
-    int status;
-    if (!planar_arm_3r_damped_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
-    }
-    planar_arm_3r_damped_f32_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
-    status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return status;
-    }
-    if (!planar_arm_3r_damped_f32_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_f32_finite(y, 3)) {
-        return PLANAR_ARM_3R_DAMPED_F32_OVERFLOW;
-    }
-    return PLANAR_ARM_3R_DAMPED_F32_OK;
-}
 
 int planar_arm_3r_damped_f32_prepare(const planar_arm_3r_damped_f32_params *params, planar_arm_3r_damped_f32_model *model)
 {
@@ -2464,9 +2451,18 @@ int planar_arm_3r_damped_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_d
 int planar_arm_3r_damped_f32_control(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *tau, planar_arm_3r_damped_f32_info *info)
 {
     float S[6], z[2], y[3];
-    const int status = planar_arm_3r_damped_f32_checked_S_z_y(model, in, S, z, y);
+    float mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_damped_f32_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
+    status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_refuse(status, info);
+        return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(in, status), info);
     }
-    return planar_arm_3r_damped_f32_solve_core(S, z, y, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = planar_arm_3r_damped_f32_solve_core(S, z, y, tau, info);
+    if (status < 0) {
+        return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(in, status), info);
+    }
+    return status;
 }

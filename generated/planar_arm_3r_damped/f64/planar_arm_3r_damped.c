@@ -1264,6 +1264,22 @@ static int planar_arm_3r_damped_input_finite(const planar_arm_3r_damped_input *i
            && planar_arm_3r_damped_finite(in->r_ddot, 2);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_DAMPED_COLD __attribute__((noinline, cold))
+#else
+#define PLANAR_ARM_3R_DAMPED_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_reason(const planar_arm_3r_damped_input *in, int status)
+{
+    if (!planar_arm_3r_damped_input_finite(in)) {
+        return PLANAR_ARM_3R_DAMPED_NONFINITE;
+    }
+    return status == PLANAR_ARM_3R_DAMPED_NONFINITE ? PLANAR_ARM_3R_DAMPED_OVERFLOW : status;
+}
+
 static void planar_arm_3r_damped_eval_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
 {
     const planar_arm_3r_damped_pair t0 = planar_arm_3r_damped_sincos(in->q[0]);
@@ -1291,12 +1307,13 @@ static void planar_arm_3r_damped_eval_psi(const planar_arm_3r_damped_model *mode
 /* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
 static int planar_arm_3r_damped_checked_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
 {
-    if (!planar_arm_3r_damped_input_finite(in)) {
+    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_DAMPED_NONFINITE;
     }
     planar_arm_3r_damped_eval_psi(model, in, psi);
-    if (!planar_arm_3r_damped_finite(psi, 2)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_finite(psi, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_OK;
 }
@@ -1441,16 +1458,17 @@ static int planar_arm_3r_damped_checked_S(const planar_arm_3r_damped_model *mode
 {
     double mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_input_finite(in)) {
+    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r, 2) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_DAMPED_NONFINITE;
     }
     planar_arm_3r_damped_eval_S(model, in, S, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
     }
-    if (!planar_arm_3r_damped_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_finite(S, 6))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_OK;
 }
@@ -1724,16 +1742,14 @@ static int planar_arm_3r_damped_checked_z(const planar_arm_3r_damped_model *mode
 {
     double mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
-    }
     planar_arm_3r_damped_eval_z(model, in, z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
     }
-    if (!planar_arm_3r_damped_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_finite(z, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_OK;
 }
@@ -2014,19 +2030,14 @@ static int planar_arm_3r_damped_checked_S_z(const planar_arm_3r_damped_model *mo
 {
     double mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_damped_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
-    }
     planar_arm_3r_damped_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
     }
-    if (!planar_arm_3r_damped_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
+
+    if (!(planar_arm_3r_damped_finite(S, 6) && planar_arm_3r_damped_finite(z, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     return PLANAR_ARM_3R_DAMPED_OK;
 }
@@ -2309,30 +2320,6 @@ static void planar_arm_3r_damped_eval_S_z_y(const planar_arm_3r_damped_model *mo
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
-static int planar_arm_3r_damped_checked_S_z_y(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z, double *y)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    if (!planar_arm_3r_damped_input_finite(in)) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
-    }
-    planar_arm_3r_damped_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
-    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return status;
-    }
-    if (!planar_arm_3r_damped_finite(S, 6)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_finite(z, 2)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
-    }
-    if (!planar_arm_3r_damped_finite(y, 3)) {
-        return PLANAR_ARM_3R_DAMPED_OVERFLOW;
-    }
-    return PLANAR_ARM_3R_DAMPED_OK;
-}
 
 int planar_arm_3r_damped_prepare(const planar_arm_3r_damped_params *params, planar_arm_3r_damped_model *model)
 {
@@ -2498,9 +2485,18 @@ int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_dam
 int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *tau, planar_arm_3r_damped_info *info)
 {
     double S[6], z[2], y[3];
-    const int status = planar_arm_3r_damped_checked_S_z_y(model, in, S, z, y);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_damped_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
+    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_refuse(status, info);
+        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(in, status), info);
     }
-    return planar_arm_3r_damped_solve_core(S, z, y, tau, info);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = planar_arm_3r_damped_solve_core(S, z, y, tau, info);
+    if (status < 0) {
+        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(in, status), info);
+    }
+    return status;
 }

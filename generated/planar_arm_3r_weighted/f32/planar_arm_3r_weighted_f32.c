@@ -1230,6 +1230,22 @@ static int planar_arm_3r_weighted_f32_input_finite(const planar_arm_3r_weighted_
            && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_WEIGHTED_F32_COLD __attribute__((noinline, cold))
+#else
+#define PLANAR_ARM_3R_WEIGHTED_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(const planar_arm_3r_weighted_f32_input *in, int status)
+{
+    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
+        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
+    }
+    return status == PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE ? PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW : status;
+}
+
 static void planar_arm_3r_weighted_f32_eval_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
 {
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
@@ -1257,12 +1273,13 @@ static void planar_arm_3r_weighted_f32_eval_psi(const planar_arm_3r_weighted_f32
 /* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
 static int planar_arm_3r_weighted_f32_checked_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
 {
-    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
     }
     planar_arm_3r_weighted_f32_eval_psi(model, in, psi);
-    if (!planar_arm_3r_weighted_f32_finite(psi, 2)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_weighted_f32_finite(psi, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
@@ -1413,16 +1430,17 @@ static int planar_arm_3r_weighted_f32_checked_S(const planar_arm_3r_weighted_f32
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
         return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
     }
     planar_arm_3r_weighted_f32_eval_S(model, in, S, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
     }
-    if (!planar_arm_3r_weighted_f32_finite(S, 6)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_weighted_f32_finite(S, 6))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
@@ -1702,16 +1720,14 @@ static int planar_arm_3r_weighted_f32_checked_z(const planar_arm_3r_weighted_f32
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
-    }
     planar_arm_3r_weighted_f32_eval_z(model, in, z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
     }
-    if (!planar_arm_3r_weighted_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_weighted_f32_finite(z, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
@@ -1998,19 +2014,14 @@ static int planar_arm_3r_weighted_f32_checked_S_z(const planar_arm_3r_weighted_f
 {
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
-    }
     planar_arm_3r_weighted_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
     }
-    if (!planar_arm_3r_weighted_f32_finite(S, 6)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_weighted_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
+
+    if (!(planar_arm_3r_weighted_f32_finite(S, 6) && planar_arm_3r_weighted_f32_finite(z, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
@@ -2362,30 +2373,6 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
-static int planar_arm_3r_weighted_f32_checked_S_w_z_recover(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S_w, float *z, float *recover)
-{
-    float mass_pivot[3], mass_scale[3];
-    int status;
-    if (!planar_arm_3r_weighted_f32_input_finite(in)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
-    }
-    planar_arm_3r_weighted_f32_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return status;
-    }
-    if (!planar_arm_3r_weighted_f32_finite(S_w, 6)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_weighted_f32_finite(z, 2)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
-    }
-    if (!planar_arm_3r_weighted_f32_finite(recover, 6)) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW;
-    }
-    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-}
 
 int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *params, planar_arm_3r_weighted_f32_model *model)
 {
@@ -2552,20 +2539,25 @@ int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *m
 {
     float sigma[3], unweighted[3];
     float S_w[6], z[2], recover[6];
-    int status = planar_arm_3r_weighted_f32_checked_S_w_z_recover(model, in, S_w, z, recover);
+    float mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_weighted_f32_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_refuse(status, info);
+        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, status), info);
     }
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_f32_solve_core(S_w, z, NULL, sigma, info);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, status), info);
     }
     /* tau = L^-T sigma */
     unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2];
     unweighted[1] = recover[3] * sigma[1] + recover[4] * sigma[2];
     unweighted[2] = recover[5] * sigma[2];
     if (!planar_arm_3r_weighted_f32_finite(unweighted, 3)) {
-        return planar_arm_3r_weighted_f32_refuse(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, info);
+        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW), info);
     }
     planar_arm_3r_weighted_f32_copy(unweighted, tau, 3);
     return status;

@@ -1195,6 +1195,22 @@ static int quaternion_pointing_f32_input_finite(const quaternion_pointing_f32_in
            && quaternion_pointing_f32_finite(in->u, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define QUATERNION_POINTING_F32_COLD __attribute__((noinline, cold))
+#else
+#define QUATERNION_POINTING_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(const quaternion_pointing_f32_input *in, int status)
+{
+    if (!quaternion_pointing_f32_input_finite(in)) {
+        return QUATERNION_POINTING_F32_NONFINITE;
+    }
+    return status == QUATERNION_POINTING_F32_NONFINITE ? QUATERNION_POINTING_F32_OVERFLOW : status;
+}
+
 static void quaternion_pointing_f32_eval_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
 {
     (void)model;
@@ -1215,12 +1231,13 @@ static void quaternion_pointing_f32_eval_psi(const quaternion_pointing_f32_model
 /* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
 static int quaternion_pointing_f32_checked_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
 {
-    if (!quaternion_pointing_f32_input_finite(in)) {
+    if (!(quaternion_pointing_f32_finite(in->u, 2))) {
         return QUATERNION_POINTING_F32_NONFINITE;
     }
     quaternion_pointing_f32_eval_psi(model, in, psi);
-    if (!quaternion_pointing_f32_finite(psi, 3)) {
-        return QUATERNION_POINTING_F32_OVERFLOW;
+
+    if (!(quaternion_pointing_f32_finite(psi, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     return QUATERNION_POINTING_F32_OK;
 }
@@ -1258,12 +1275,13 @@ static void quaternion_pointing_f32_eval_S(const quaternion_pointing_f32_model *
 /* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
 static int quaternion_pointing_f32_checked_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
-    if (!quaternion_pointing_f32_input_finite(in)) {
+    if (!(quaternion_pointing_f32_finite(in->u, 3))) {
         return QUATERNION_POINTING_F32_NONFINITE;
     }
     quaternion_pointing_f32_eval_S(model, in, S);
-    if (!quaternion_pointing_f32_finite(S, 9)) {
-        return QUATERNION_POINTING_F32_OVERFLOW;
+
+    if (!(quaternion_pointing_f32_finite(S, 9))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     return QUATERNION_POINTING_F32_OK;
 }
@@ -1338,12 +1356,10 @@ static void quaternion_pointing_f32_eval_z(const quaternion_pointing_f32_model *
 /* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
 static int quaternion_pointing_f32_checked_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
 {
-    if (!quaternion_pointing_f32_input_finite(in)) {
-        return QUATERNION_POINTING_F32_NONFINITE;
-    }
     quaternion_pointing_f32_eval_z(model, in, z);
-    if (!quaternion_pointing_f32_finite(z, 3)) {
-        return QUATERNION_POINTING_F32_OVERFLOW;
+
+    if (!(quaternion_pointing_f32_finite(z, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     return QUATERNION_POINTING_F32_OK;
 }
@@ -1432,15 +1448,10 @@ static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model
 /* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
 static int quaternion_pointing_f32_checked_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
 {
-    if (!quaternion_pointing_f32_input_finite(in)) {
-        return QUATERNION_POINTING_F32_NONFINITE;
-    }
     quaternion_pointing_f32_eval_S_z(model, in, S, z);
-    if (!quaternion_pointing_f32_finite(S, 9)) {
-        return QUATERNION_POINTING_F32_OVERFLOW;
-    }
-    if (!quaternion_pointing_f32_finite(z, 3)) {
-        return QUATERNION_POINTING_F32_OVERFLOW;
+
+    if (!(quaternion_pointing_f32_finite(S, 9) && quaternion_pointing_f32_finite(z, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     return QUATERNION_POINTING_F32_OK;
 }
@@ -1592,9 +1603,13 @@ int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_point
 int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *tau, quaternion_pointing_f32_info *info)
 {
     float S[9], z[3];
-    const int status = quaternion_pointing_f32_checked_S_z(model, in, S, z);
+    int status;
+    quaternion_pointing_f32_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = quaternion_pointing_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return quaternion_pointing_f32_refuse(status, info);
+        return quaternion_pointing_f32_refuse(quaternion_pointing_f32_reason(in, status), info);
     }
-    return quaternion_pointing_f32_solve_core(S, z, NULL, tau, info);
+    return status;
 }

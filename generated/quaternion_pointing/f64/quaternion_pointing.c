@@ -1195,6 +1195,22 @@ static int quaternion_pointing_input_finite(const quaternion_pointing_input *in)
            && quaternion_pointing_finite(in->u, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define QUATERNION_POINTING_COLD __attribute__((noinline, cold))
+#else
+#define QUATERNION_POINTING_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static QUATERNION_POINTING_COLD int quaternion_pointing_reason(const quaternion_pointing_input *in, int status)
+{
+    if (!quaternion_pointing_input_finite(in)) {
+        return QUATERNION_POINTING_NONFINITE;
+    }
+    return status == QUATERNION_POINTING_NONFINITE ? QUATERNION_POINTING_OVERFLOW : status;
+}
+
 static void quaternion_pointing_eval_psi(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *psi)
 {
     (void)model;
@@ -1215,12 +1231,13 @@ static void quaternion_pointing_eval_psi(const quaternion_pointing_model *model,
 /* The same behind its checks: QUATERNION_POINTING_OK, or a negative status. */
 static int quaternion_pointing_checked_psi(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *psi)
 {
-    if (!quaternion_pointing_input_finite(in)) {
+    if (!(quaternion_pointing_finite(in->u, 2))) {
         return QUATERNION_POINTING_NONFINITE;
     }
     quaternion_pointing_eval_psi(model, in, psi);
-    if (!quaternion_pointing_finite(psi, 3)) {
-        return QUATERNION_POINTING_OVERFLOW;
+
+    if (!(quaternion_pointing_finite(psi, 3))) {
+        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
     }
     return QUATERNION_POINTING_OK;
 }
@@ -1258,12 +1275,13 @@ static void quaternion_pointing_eval_S(const quaternion_pointing_model *model, c
 /* The same behind its checks: QUATERNION_POINTING_OK, or a negative status. */
 static int quaternion_pointing_checked_S(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S)
 {
-    if (!quaternion_pointing_input_finite(in)) {
+    if (!(quaternion_pointing_finite(in->u, 3))) {
         return QUATERNION_POINTING_NONFINITE;
     }
     quaternion_pointing_eval_S(model, in, S);
-    if (!quaternion_pointing_finite(S, 9)) {
-        return QUATERNION_POINTING_OVERFLOW;
+
+    if (!(quaternion_pointing_finite(S, 9))) {
+        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
     }
     return QUATERNION_POINTING_OK;
 }
@@ -1338,12 +1356,10 @@ static void quaternion_pointing_eval_z(const quaternion_pointing_model *model, c
 /* The same behind its checks: QUATERNION_POINTING_OK, or a negative status. */
 static int quaternion_pointing_checked_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *z)
 {
-    if (!quaternion_pointing_input_finite(in)) {
-        return QUATERNION_POINTING_NONFINITE;
-    }
     quaternion_pointing_eval_z(model, in, z);
-    if (!quaternion_pointing_finite(z, 3)) {
-        return QUATERNION_POINTING_OVERFLOW;
+
+    if (!(quaternion_pointing_finite(z, 3))) {
+        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
     }
     return QUATERNION_POINTING_OK;
 }
@@ -1432,15 +1448,10 @@ static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model,
 /* The same behind its checks: QUATERNION_POINTING_OK, or a negative status. */
 static int quaternion_pointing_checked_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S, double *z)
 {
-    if (!quaternion_pointing_input_finite(in)) {
-        return QUATERNION_POINTING_NONFINITE;
-    }
     quaternion_pointing_eval_S_z(model, in, S, z);
-    if (!quaternion_pointing_finite(S, 9)) {
-        return QUATERNION_POINTING_OVERFLOW;
-    }
-    if (!quaternion_pointing_finite(z, 3)) {
-        return QUATERNION_POINTING_OVERFLOW;
+
+    if (!(quaternion_pointing_finite(S, 9) && quaternion_pointing_finite(z, 3))) {
+        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
     }
     return QUATERNION_POINTING_OK;
 }
@@ -1592,9 +1603,13 @@ int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointin
 int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info)
 {
     double S[9], z[3];
-    const int status = quaternion_pointing_checked_S_z(model, in, S, z);
+    int status;
+    quaternion_pointing_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = quaternion_pointing_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return quaternion_pointing_refuse(status, info);
+        return quaternion_pointing_refuse(quaternion_pointing_reason(in, status), info);
     }
-    return quaternion_pointing_solve_core(S, z, NULL, tau, info);
+    return status;
 }

@@ -1140,6 +1140,22 @@ static int skewed_thrusters_f32_input_finite(const skewed_thrusters_f32_input *i
            && skewed_thrusters_f32_finite(in->rate_dot, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define SKEWED_THRUSTERS_F32_COLD __attribute__((noinline, cold))
+#else
+#define SKEWED_THRUSTERS_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_reason(const skewed_thrusters_f32_input *in, int status)
+{
+    if (!skewed_thrusters_f32_input_finite(in)) {
+        return SKEWED_THRUSTERS_F32_NONFINITE;
+    }
+    return status == SKEWED_THRUSTERS_F32_NONFINITE ? SKEWED_THRUSTERS_F32_OVERFLOW : status;
+}
+
 static void skewed_thrusters_f32_eval_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
 {
     (void)model;
@@ -1161,12 +1177,13 @@ static void skewed_thrusters_f32_eval_psi(const skewed_thrusters_f32_model *mode
 /* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
 static int skewed_thrusters_f32_checked_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
 {
-    if (!skewed_thrusters_f32_input_finite(in)) {
+    if (!(skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
         return SKEWED_THRUSTERS_F32_NONFINITE;
     }
     skewed_thrusters_f32_eval_psi(model, in, psi);
-    if (!skewed_thrusters_f32_finite(psi, 6)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
+
+    if (!(skewed_thrusters_f32_finite(psi, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     return SKEWED_THRUSTERS_F32_OK;
 }
@@ -1228,12 +1245,13 @@ static void skewed_thrusters_f32_eval_S(const skewed_thrusters_f32_model *model,
 /* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
 static int skewed_thrusters_f32_checked_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
-    if (!skewed_thrusters_f32_input_finite(in)) {
+    if (!(skewed_thrusters_f32_finite(in->u, 6) && skewed_thrusters_f32_finite(in->velocity, 3) && skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
         return SKEWED_THRUSTERS_F32_NONFINITE;
     }
     skewed_thrusters_f32_eval_S(model, in, S);
-    if (!skewed_thrusters_f32_finite(S, 48)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
+
+    if (!(skewed_thrusters_f32_finite(S, 48))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     return SKEWED_THRUSTERS_F32_OK;
 }
@@ -1300,12 +1318,10 @@ static void skewed_thrusters_f32_eval_z(const skewed_thrusters_f32_model *model,
 /* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
 static int skewed_thrusters_f32_checked_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
 {
-    if (!skewed_thrusters_f32_input_finite(in)) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
-    }
     skewed_thrusters_f32_eval_z(model, in, z);
-    if (!skewed_thrusters_f32_finite(z, 6)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
+
+    if (!(skewed_thrusters_f32_finite(z, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     return SKEWED_THRUSTERS_F32_OK;
 }
@@ -1421,15 +1437,10 @@ static void skewed_thrusters_f32_eval_S_z(const skewed_thrusters_f32_model *mode
 /* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
 static int skewed_thrusters_f32_checked_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
 {
-    if (!skewed_thrusters_f32_input_finite(in)) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
-    }
     skewed_thrusters_f32_eval_S_z(model, in, S, z);
-    if (!skewed_thrusters_f32_finite(S, 48)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
-    }
-    if (!skewed_thrusters_f32_finite(z, 6)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
+
+    if (!(skewed_thrusters_f32_finite(S, 48) && skewed_thrusters_f32_finite(z, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     return SKEWED_THRUSTERS_F32_OK;
 }
@@ -1502,21 +1513,6 @@ static void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *mode
     y[7] = 0.5f;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
-static int skewed_thrusters_f32_checked_z_y(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z, float *y)
-{
-    if (!skewed_thrusters_f32_input_finite(in)) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
-    }
-    skewed_thrusters_f32_eval_z_y(model, in, z, y);
-    if (!skewed_thrusters_f32_finite(z, 6)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
-    }
-    if (!skewed_thrusters_f32_finite(y, 8)) {
-        return SKEWED_THRUSTERS_F32_OVERFLOW;
-    }
-    return SKEWED_THRUSTERS_F32_OK;
-}
 
 static void skewed_thrusters_f32_eval_known_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
@@ -1832,9 +1828,13 @@ static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
 int skewed_thrusters_f32_control(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *tau, skewed_thrusters_f32_info *info)
 {
     float z[6], y[8];
-    const int status = skewed_thrusters_f32_checked_z_y(model, in, z, y);
+    int status;
+    skewed_thrusters_f32_eval_z_y(model, in, z, y);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = skewed_thrusters_f32_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
     if (status < 0) {
-        return skewed_thrusters_f32_refuse(status, info);
+        return skewed_thrusters_f32_refuse(skewed_thrusters_f32_reason(in, status), info);
     }
-    return skewed_thrusters_f32_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
+    return status;
 }

@@ -1140,6 +1140,22 @@ static int skewed_thrusters_input_finite(const skewed_thrusters_input *in)
            && skewed_thrusters_finite(in->rate_dot, 3);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define SKEWED_THRUSTERS_COLD __attribute__((noinline, cold))
+#else
+#define SKEWED_THRUSTERS_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static SKEWED_THRUSTERS_COLD int skewed_thrusters_reason(const skewed_thrusters_input *in, int status)
+{
+    if (!skewed_thrusters_input_finite(in)) {
+        return SKEWED_THRUSTERS_NONFINITE;
+    }
+    return status == SKEWED_THRUSTERS_NONFINITE ? SKEWED_THRUSTERS_OVERFLOW : status;
+}
+
 static void skewed_thrusters_eval_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
 {
     (void)model;
@@ -1161,12 +1177,13 @@ static void skewed_thrusters_eval_psi(const skewed_thrusters_model *model, const
 /* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
 static int skewed_thrusters_checked_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
 {
-    if (!skewed_thrusters_input_finite(in)) {
+    if (!(skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
         return SKEWED_THRUSTERS_NONFINITE;
     }
     skewed_thrusters_eval_psi(model, in, psi);
-    if (!skewed_thrusters_finite(psi, 6)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
+
+    if (!(skewed_thrusters_finite(psi, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     return SKEWED_THRUSTERS_OK;
 }
@@ -1228,12 +1245,13 @@ static void skewed_thrusters_eval_S(const skewed_thrusters_model *model, const s
 /* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
 static int skewed_thrusters_checked_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
-    if (!skewed_thrusters_input_finite(in)) {
+    if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3) && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
         return SKEWED_THRUSTERS_NONFINITE;
     }
     skewed_thrusters_eval_S(model, in, S);
-    if (!skewed_thrusters_finite(S, 48)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
+
+    if (!(skewed_thrusters_finite(S, 48))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     return SKEWED_THRUSTERS_OK;
 }
@@ -1300,12 +1318,10 @@ static void skewed_thrusters_eval_z(const skewed_thrusters_model *model, const s
 /* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
 static int skewed_thrusters_checked_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
 {
-    if (!skewed_thrusters_input_finite(in)) {
-        return SKEWED_THRUSTERS_NONFINITE;
-    }
     skewed_thrusters_eval_z(model, in, z);
-    if (!skewed_thrusters_finite(z, 6)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
+
+    if (!(skewed_thrusters_finite(z, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     return SKEWED_THRUSTERS_OK;
 }
@@ -1421,15 +1437,10 @@ static void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model, const
 /* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
 static int skewed_thrusters_checked_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
 {
-    if (!skewed_thrusters_input_finite(in)) {
-        return SKEWED_THRUSTERS_NONFINITE;
-    }
     skewed_thrusters_eval_S_z(model, in, S, z);
-    if (!skewed_thrusters_finite(S, 48)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
-    }
-    if (!skewed_thrusters_finite(z, 6)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
+
+    if (!(skewed_thrusters_finite(S, 48) && skewed_thrusters_finite(z, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     return SKEWED_THRUSTERS_OK;
 }
@@ -1502,21 +1513,6 @@ static void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const
     y[7] = 0.5;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
-static int skewed_thrusters_checked_z_y(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z, double *y)
-{
-    if (!skewed_thrusters_input_finite(in)) {
-        return SKEWED_THRUSTERS_NONFINITE;
-    }
-    skewed_thrusters_eval_z_y(model, in, z, y);
-    if (!skewed_thrusters_finite(z, 6)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
-    }
-    if (!skewed_thrusters_finite(y, 8)) {
-        return SKEWED_THRUSTERS_OVERFLOW;
-    }
-    return SKEWED_THRUSTERS_OK;
-}
 
 static void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
@@ -1832,9 +1828,13 @@ static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, c
 int skewed_thrusters_control(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *tau, skewed_thrusters_info *info)
 {
     double z[6], y[8];
-    const int status = skewed_thrusters_checked_z_y(model, in, z, y);
+    int status;
+    skewed_thrusters_eval_z_y(model, in, z, y);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = skewed_thrusters_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
     if (status < 0) {
-        return skewed_thrusters_refuse(status, info);
+        return skewed_thrusters_refuse(skewed_thrusters_reason(in, status), info);
     }
-    return skewed_thrusters_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
+    return status;
 }

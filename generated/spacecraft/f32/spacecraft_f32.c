@@ -494,6 +494,15 @@ static int spacecraft_f32_input_finite(const spacecraft_f32_input *in)
            && spacecraft_f32_finite(in->tau, 3);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static SPACECRAFT_F32_COLD int spacecraft_f32_reason(const spacecraft_f32_input *in, int status)
+{
+    if (!spacecraft_f32_input_finite(in)) {
+        return SPACECRAFT_F32_NONFINITE;
+    }
+    return status == SPACECRAFT_F32_NONFINITE ? SPACECRAFT_F32_OVERFLOW : status;
+}
+
 static void spacecraft_f32_eval_phi(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi)
 {
     const float t0 = model->I_1 * in->tau[0];
@@ -523,12 +532,10 @@ static void spacecraft_f32_eval_phi(const spacecraft_f32_model *model, const spa
 /* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
 static int spacecraft_f32_checked_phi(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi)
 {
-    if (!spacecraft_f32_input_finite(in)) {
-        return SPACECRAFT_F32_NONFINITE;
-    }
     spacecraft_f32_eval_phi(model, in, phi);
-    if (!spacecraft_f32_finite(phi, 1)) {
-        return SPACECRAFT_F32_OVERFLOW;
+
+    if (!(spacecraft_f32_finite(phi, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -547,12 +554,13 @@ static void spacecraft_f32_eval_A(const spacecraft_f32_model *model, const space
 /* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
 static int spacecraft_f32_checked_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A)
 {
-    if (!spacecraft_f32_input_finite(in)) {
+    if (!(spacecraft_f32_finite(in->tau, 3))) {
         return SPACECRAFT_F32_NONFINITE;
     }
     spacecraft_f32_eval_A(model, in, A);
-    if (!spacecraft_f32_finite(A, 3)) {
-        return SPACECRAFT_F32_OVERFLOW;
+
+    if (!(spacecraft_f32_finite(A, 3))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -592,12 +600,10 @@ static void spacecraft_f32_eval_B(const spacecraft_f32_model *model, const space
 /* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
 static int spacecraft_f32_checked_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *B)
 {
-    if (!spacecraft_f32_input_finite(in)) {
-        return SPACECRAFT_F32_NONFINITE;
-    }
     spacecraft_f32_eval_B(model, in, B);
-    if (!spacecraft_f32_finite(B, 1)) {
-        return SPACECRAFT_F32_OVERFLOW;
+
+    if (!(spacecraft_f32_finite(B, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -641,15 +647,10 @@ static void spacecraft_f32_eval_A_B(const spacecraft_f32_model *model, const spa
 /* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
 static int spacecraft_f32_checked_A_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A, float *B)
 {
-    if (!spacecraft_f32_input_finite(in)) {
-        return SPACECRAFT_F32_NONFINITE;
-    }
     spacecraft_f32_eval_A_B(model, in, A, B);
-    if (!spacecraft_f32_finite(A, 3)) {
-        return SPACECRAFT_F32_OVERFLOW;
-    }
-    if (!spacecraft_f32_finite(B, 1)) {
-        return SPACECRAFT_F32_OVERFLOW;
+
+    if (!(spacecraft_f32_finite(A, 3) && spacecraft_f32_finite(B, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -687,15 +688,10 @@ static void spacecraft_f32_eval_phi_A(const spacecraft_f32_model *model, const s
 /* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
 static int spacecraft_f32_checked_phi_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi, float *A)
 {
-    if (!spacecraft_f32_input_finite(in)) {
-        return SPACECRAFT_F32_NONFINITE;
-    }
     spacecraft_f32_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_f32_finite(phi, 1)) {
-        return SPACECRAFT_F32_OVERFLOW;
-    }
-    if (!spacecraft_f32_finite(A, 3)) {
-        return SPACECRAFT_F32_OVERFLOW;
+
+    if (!(spacecraft_f32_finite(phi, 1) && spacecraft_f32_finite(A, 3))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -813,11 +809,15 @@ int spacecraft_f32_pinv(const float *A, float *A_pinv, spacecraft_f32_info *info
 int spacecraft_f32_control(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *tau_dot, spacecraft_f32_info *info)
 {
     float A[3], B[1];
-    const int status = spacecraft_f32_checked_A_B(model, in, A, B);
+    int status;
+    spacecraft_f32_eval_A_B(model, in, A, B);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = spacecraft_f32_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {
-        return spacecraft_f32_refuse(status, info);
+        return spacecraft_f32_refuse(spacecraft_f32_reason(in, status), info);
     }
-    return spacecraft_f32_solve_core(A, B, NULL, tau_dot, info);
+    return status;
 }
 
 /* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */

@@ -494,6 +494,15 @@ static int spacecraft_input_finite(const spacecraft_input *in)
            && spacecraft_finite(in->tau, 3);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static SPACECRAFT_COLD int spacecraft_reason(const spacecraft_input *in, int status)
+{
+    if (!spacecraft_input_finite(in)) {
+        return SPACECRAFT_NONFINITE;
+    }
+    return status == SPACECRAFT_NONFINITE ? SPACECRAFT_OVERFLOW : status;
+}
+
 static void spacecraft_eval_phi(const spacecraft_model *model, const spacecraft_input *in, double *phi)
 {
     const double t0 = model->I_1 * in->tau[0];
@@ -523,12 +532,10 @@ static void spacecraft_eval_phi(const spacecraft_model *model, const spacecraft_
 /* The same behind its checks: SPACECRAFT_OK, or a negative status. */
 static int spacecraft_checked_phi(const spacecraft_model *model, const spacecraft_input *in, double *phi)
 {
-    if (!spacecraft_input_finite(in)) {
-        return SPACECRAFT_NONFINITE;
-    }
     spacecraft_eval_phi(model, in, phi);
-    if (!spacecraft_finite(phi, 1)) {
-        return SPACECRAFT_OVERFLOW;
+
+    if (!(spacecraft_finite(phi, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     return SPACECRAFT_OK;
 }
@@ -547,12 +554,13 @@ static void spacecraft_eval_A(const spacecraft_model *model, const spacecraft_in
 /* The same behind its checks: SPACECRAFT_OK, or a negative status. */
 static int spacecraft_checked_A(const spacecraft_model *model, const spacecraft_input *in, double *A)
 {
-    if (!spacecraft_input_finite(in)) {
+    if (!(spacecraft_finite(in->tau, 3))) {
         return SPACECRAFT_NONFINITE;
     }
     spacecraft_eval_A(model, in, A);
-    if (!spacecraft_finite(A, 3)) {
-        return SPACECRAFT_OVERFLOW;
+
+    if (!(spacecraft_finite(A, 3))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     return SPACECRAFT_OK;
 }
@@ -592,12 +600,10 @@ static void spacecraft_eval_B(const spacecraft_model *model, const spacecraft_in
 /* The same behind its checks: SPACECRAFT_OK, or a negative status. */
 static int spacecraft_checked_B(const spacecraft_model *model, const spacecraft_input *in, double *B)
 {
-    if (!spacecraft_input_finite(in)) {
-        return SPACECRAFT_NONFINITE;
-    }
     spacecraft_eval_B(model, in, B);
-    if (!spacecraft_finite(B, 1)) {
-        return SPACECRAFT_OVERFLOW;
+
+    if (!(spacecraft_finite(B, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     return SPACECRAFT_OK;
 }
@@ -641,15 +647,10 @@ static void spacecraft_eval_A_B(const spacecraft_model *model, const spacecraft_
 /* The same behind its checks: SPACECRAFT_OK, or a negative status. */
 static int spacecraft_checked_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B)
 {
-    if (!spacecraft_input_finite(in)) {
-        return SPACECRAFT_NONFINITE;
-    }
     spacecraft_eval_A_B(model, in, A, B);
-    if (!spacecraft_finite(A, 3)) {
-        return SPACECRAFT_OVERFLOW;
-    }
-    if (!spacecraft_finite(B, 1)) {
-        return SPACECRAFT_OVERFLOW;
+
+    if (!(spacecraft_finite(A, 3) && spacecraft_finite(B, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     return SPACECRAFT_OK;
 }
@@ -687,15 +688,10 @@ static void spacecraft_eval_phi_A(const spacecraft_model *model, const spacecraf
 /* The same behind its checks: SPACECRAFT_OK, or a negative status. */
 static int spacecraft_checked_phi_A(const spacecraft_model *model, const spacecraft_input *in, double *phi, double *A)
 {
-    if (!spacecraft_input_finite(in)) {
-        return SPACECRAFT_NONFINITE;
-    }
     spacecraft_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_finite(phi, 1)) {
-        return SPACECRAFT_OVERFLOW;
-    }
-    if (!spacecraft_finite(A, 3)) {
-        return SPACECRAFT_OVERFLOW;
+
+    if (!(spacecraft_finite(phi, 1) && spacecraft_finite(A, 3))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     return SPACECRAFT_OK;
 }
@@ -813,11 +809,15 @@ int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info)
 int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in, double *tau_dot, spacecraft_info *info)
 {
     double A[3], B[1];
-    const int status = spacecraft_checked_A_B(model, in, A, B);
+    int status;
+    spacecraft_eval_A_B(model, in, A, B);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = spacecraft_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {
-        return spacecraft_refuse(status, info);
+        return spacecraft_refuse(spacecraft_reason(in, status), info);
     }
-    return spacecraft_solve_core(A, B, NULL, tau_dot, info);
+    return status;
 }
 
 /* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */

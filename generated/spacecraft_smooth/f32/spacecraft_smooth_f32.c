@@ -494,6 +494,15 @@ static int spacecraft_smooth_f32_input_finite(const spacecraft_smooth_f32_input 
            && spacecraft_smooth_f32_finite(in->tau, 3);
 }
 
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(const spacecraft_smooth_f32_input *in, int status)
+{
+    if (!spacecraft_smooth_f32_input_finite(in)) {
+        return SPACECRAFT_SMOOTH_F32_NONFINITE;
+    }
+    return status == SPACECRAFT_SMOOTH_F32_NONFINITE ? SPACECRAFT_SMOOTH_F32_OVERFLOW : status;
+}
+
 static void spacecraft_smooth_f32_eval_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
 {
     const float t0 = model->I_1 * in->tau[0];
@@ -523,12 +532,10 @@ static void spacecraft_smooth_f32_eval_phi(const spacecraft_smooth_f32_model *mo
 /* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
 static int spacecraft_smooth_f32_checked_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
 {
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
     spacecraft_smooth_f32_eval_phi(model, in, phi);
-    if (!spacecraft_smooth_f32_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+
+    if (!(spacecraft_smooth_f32_finite(phi, 1))) {
+        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -547,12 +554,13 @@ static void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *mode
 /* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
 static int spacecraft_smooth_f32_checked_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A)
 {
-    if (!spacecraft_smooth_f32_input_finite(in)) {
+    if (!(spacecraft_smooth_f32_finite(in->tau, 3))) {
         return SPACECRAFT_SMOOTH_F32_NONFINITE;
     }
     spacecraft_smooth_f32_eval_A(model, in, A);
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+
+    if (!(spacecraft_smooth_f32_finite(A, 3))) {
+        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -592,12 +600,10 @@ static void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *mode
 /* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
 static int spacecraft_smooth_f32_checked_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *B)
 {
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
     spacecraft_smooth_f32_eval_B(model, in, B);
-    if (!spacecraft_smooth_f32_finite(B, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+
+    if (!(spacecraft_smooth_f32_finite(B, 1))) {
+        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -641,15 +647,10 @@ static void spacecraft_smooth_f32_eval_A_B(const spacecraft_smooth_f32_model *mo
 /* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
 static int spacecraft_smooth_f32_checked_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
 {
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
     spacecraft_smooth_f32_eval_A_B(model, in, A, B);
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(B, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+
+    if (!(spacecraft_smooth_f32_finite(A, 3) && spacecraft_smooth_f32_finite(B, 1))) {
+        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -694,24 +695,6 @@ static void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *
     y[2] = (-in->tau[2]);
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
-static int spacecraft_smooth_f32_checked_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
-{
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
-    spacecraft_smooth_f32_eval_A_B_y(model, in, A, B, y);
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(B, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(y, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    return SPACECRAFT_SMOOTH_F32_OK;
-}
 
 static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
 {
@@ -746,15 +729,10 @@ static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *
 /* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
 static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
 {
-    if (!spacecraft_smooth_f32_input_finite(in)) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
-    }
     spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
-    if (!spacecraft_smooth_f32_finite(phi, 1)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
-    }
-    if (!spacecraft_smooth_f32_finite(A, 3)) {
-        return SPACECRAFT_SMOOTH_F32_OVERFLOW;
+
+    if (!(spacecraft_smooth_f32_finite(phi, 1) && spacecraft_smooth_f32_finite(A, 3))) {
+        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -872,11 +850,15 @@ int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_
 int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau_dot, spacecraft_smooth_f32_info *info)
 {
     float A[3], B[1], y[3];
-    const int status = spacecraft_smooth_f32_checked_A_B_y(model, in, A, B, y);
+    int status;
+    spacecraft_smooth_f32_eval_A_B_y(model, in, A, B, y);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = spacecraft_smooth_f32_solve_core(A, B, y, tau_dot, info);
     if (status < 0) {
-        return spacecraft_smooth_f32_refuse(status, info);
+        return spacecraft_smooth_f32_refuse(spacecraft_smooth_f32_reason(in, status), info);
     }
-    return spacecraft_smooth_f32_solve_core(A, B, y, tau_dot, info);
+    return status;
 }
 
 /* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */

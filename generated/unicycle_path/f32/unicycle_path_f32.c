@@ -1232,6 +1232,22 @@ static int unicycle_path_f32_input_finite(const unicycle_path_f32_input *in)
            && unicycle_path_f32_finite(&in->radius_ddot, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define UNICYCLE_PATH_F32_COLD __attribute__((noinline, cold))
+#else
+#define UNICYCLE_PATH_F32_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(const unicycle_path_f32_input *in, int status)
+{
+    if (!unicycle_path_f32_input_finite(in)) {
+        return UNICYCLE_PATH_F32_NONFINITE;
+    }
+    return status == UNICYCLE_PATH_F32_NONFINITE ? UNICYCLE_PATH_F32_OVERFLOW : status;
+}
+
 static void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
 {
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
@@ -1253,12 +1269,13 @@ static void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model, con
 /* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
 static int unicycle_path_f32_checked_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
 {
-    if (!unicycle_path_f32_input_finite(in)) {
+    if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
         return UNICYCLE_PATH_F32_NONFINITE;
     }
     unicycle_path_f32_eval_psi(model, in, psi);
-    if (!unicycle_path_f32_finite(psi, 2)) {
-        return UNICYCLE_PATH_F32_OVERFLOW;
+
+    if (!(unicycle_path_f32_finite(psi, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     return UNICYCLE_PATH_F32_OK;
 }
@@ -1301,12 +1318,13 @@ static void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model, const
 /* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
 static int unicycle_path_f32_checked_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
 {
-    if (!unicycle_path_f32_input_finite(in)) {
+    if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
         return UNICYCLE_PATH_F32_NONFINITE;
     }
     unicycle_path_f32_eval_S(model, in, S);
-    if (!unicycle_path_f32_finite(S, 4)) {
-        return UNICYCLE_PATH_F32_OVERFLOW;
+
+    if (!(unicycle_path_f32_finite(S, 4))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     return UNICYCLE_PATH_F32_OK;
 }
@@ -1384,12 +1402,10 @@ static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const
 /* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
 static int unicycle_path_f32_checked_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
-    if (!unicycle_path_f32_input_finite(in)) {
-        return UNICYCLE_PATH_F32_NONFINITE;
-    }
     unicycle_path_f32_eval_z(model, in, z);
-    if (!unicycle_path_f32_finite(z, 2)) {
-        return UNICYCLE_PATH_F32_OVERFLOW;
+
+    if (!(unicycle_path_f32_finite(z, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     return UNICYCLE_PATH_F32_OK;
 }
@@ -1476,15 +1492,10 @@ static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, con
 /* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
 static int unicycle_path_f32_checked_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S, float *z)
 {
-    if (!unicycle_path_f32_input_finite(in)) {
-        return UNICYCLE_PATH_F32_NONFINITE;
-    }
     unicycle_path_f32_eval_S_z(model, in, S, z);
-    if (!unicycle_path_f32_finite(S, 4)) {
-        return UNICYCLE_PATH_F32_OVERFLOW;
-    }
-    if (!unicycle_path_f32_finite(z, 2)) {
-        return UNICYCLE_PATH_F32_OVERFLOW;
+
+    if (!(unicycle_path_f32_finite(S, 4) && unicycle_path_f32_finite(z, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     return UNICYCLE_PATH_F32_OK;
 }
@@ -1611,9 +1622,13 @@ int unicycle_path_f32_pinv(const float *S, float *S_pinv, unicycle_path_f32_info
 int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *tau, unicycle_path_f32_info *info)
 {
     float S[4], z[2];
-    const int status = unicycle_path_f32_checked_S_z(model, in, S, z);
+    int status;
+    unicycle_path_f32_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = unicycle_path_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return unicycle_path_f32_refuse(status, info);
+        return unicycle_path_f32_refuse(unicycle_path_f32_reason(in, status), info);
     }
-    return unicycle_path_f32_solve_core(S, z, NULL, tau, info);
+    return status;
 }

@@ -1266,6 +1266,22 @@ static int unicycle_path_input_finite(const unicycle_path_input *in)
            && unicycle_path_finite(&in->radius_ddot, 1);
 }
 
+/* Rarely or never needed: small, and out of the way of what is. */
+#if defined(__GNUC__)
+#define UNICYCLE_PATH_COLD __attribute__((noinline, cold))
+#else
+#define UNICYCLE_PATH_COLD
+#endif
+
+/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+static UNICYCLE_PATH_COLD int unicycle_path_reason(const unicycle_path_input *in, int status)
+{
+    if (!unicycle_path_input_finite(in)) {
+        return UNICYCLE_PATH_NONFINITE;
+    }
+    return status == UNICYCLE_PATH_NONFINITE ? UNICYCLE_PATH_OVERFLOW : status;
+}
+
 static void unicycle_path_eval_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
 {
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
@@ -1287,12 +1303,13 @@ static void unicycle_path_eval_psi(const unicycle_path_model *model, const unicy
 /* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
 static int unicycle_path_checked_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
 {
-    if (!unicycle_path_input_finite(in)) {
+    if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
         return UNICYCLE_PATH_NONFINITE;
     }
     unicycle_path_eval_psi(model, in, psi);
-    if (!unicycle_path_finite(psi, 2)) {
-        return UNICYCLE_PATH_OVERFLOW;
+
+    if (!(unicycle_path_finite(psi, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     return UNICYCLE_PATH_OK;
 }
@@ -1335,12 +1352,13 @@ static void unicycle_path_eval_S(const unicycle_path_model *model, const unicycl
 /* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
 static int unicycle_path_checked_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
 {
-    if (!unicycle_path_input_finite(in)) {
+    if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
         return UNICYCLE_PATH_NONFINITE;
     }
     unicycle_path_eval_S(model, in, S);
-    if (!unicycle_path_finite(S, 4)) {
-        return UNICYCLE_PATH_OVERFLOW;
+
+    if (!(unicycle_path_finite(S, 4))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     return UNICYCLE_PATH_OK;
 }
@@ -1418,12 +1436,10 @@ static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycl
 /* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
 static int unicycle_path_checked_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
-    if (!unicycle_path_input_finite(in)) {
-        return UNICYCLE_PATH_NONFINITE;
-    }
     unicycle_path_eval_z(model, in, z);
-    if (!unicycle_path_finite(z, 2)) {
-        return UNICYCLE_PATH_OVERFLOW;
+
+    if (!(unicycle_path_finite(z, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     return UNICYCLE_PATH_OK;
 }
@@ -1510,15 +1526,10 @@ static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicy
 /* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
 static int unicycle_path_checked_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z)
 {
-    if (!unicycle_path_input_finite(in)) {
-        return UNICYCLE_PATH_NONFINITE;
-    }
     unicycle_path_eval_S_z(model, in, S, z);
-    if (!unicycle_path_finite(S, 4)) {
-        return UNICYCLE_PATH_OVERFLOW;
-    }
-    if (!unicycle_path_finite(z, 2)) {
-        return UNICYCLE_PATH_OVERFLOW;
+
+    if (!(unicycle_path_finite(S, 4) && unicycle_path_finite(z, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     return UNICYCLE_PATH_OK;
 }
@@ -1645,9 +1656,13 @@ int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info
 int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info)
 {
     double S[4], z[2];
-    const int status = unicycle_path_checked_S_z(model, in, S, z);
+    int status;
+    unicycle_path_eval_S_z(model, in, S, z);
+
+    /* whatever is NaN or infinite in its system, the solver refuses */
+    status = unicycle_path_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return unicycle_path_refuse(status, info);
+        return unicycle_path_refuse(unicycle_path_reason(in, status), info);
     }
-    return unicycle_path_solve_core(S, z, NULL, tau, info);
+    return status;
 }
