@@ -8,6 +8,8 @@ from servogen.scene.domain import draw_states
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 
+pytestmark = pytest.mark.xdist_group("scenes")  # one process makes the fixture
+
 
 def run(name: str, **options: object) -> Trajectory:
     return ClosedLoop(*load_simulation(name)).run(**options)  # type: ignore[arg-type]

@@ -6,6 +6,8 @@ from scipy.integrate import solve_ivp
 from servogen.scenes.spacecraft import stabilisation
 from servogen.simulate.closed_loop import ClosedLoop
 
+pytestmark = pytest.mark.xdist_group("spacecraft")  # one process makes the fixture
+
 INERTIA = np.array([10.0, 6.3, 8.5])
 START = {"q": [0.0, 0.0, 0.0], "u": [0.1, 0.1, 0.1], "tau": [0.1, 0.1, -0.3376]}
 TAU_3 = -0.287 / 0.85  # that of phi = 0 with tau_1 = tau_2 = 0.1, Eq. (47)

@@ -17,6 +17,8 @@ from support.c import STRICT, compiler, run
 from support.missing import skip_or_fail
 from support.models import awkward_scenes
 
+pytestmark = pytest.mark.xdist_group("packages")  # one process makes the fixture
+
 SCALARS = ("float64", "float32")
 
 

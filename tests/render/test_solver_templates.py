@@ -121,6 +121,7 @@ def test_only_sqrt_is_called():
         "int",
         "defined",
         "__attribute__",
+        "_Pragma",
     }
 
 

@@ -10,6 +10,8 @@ from servogen.report.paper import SCENES, draw_paper, sheets
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 
+pytestmark = pytest.mark.xdist_group("paper")  # one process makes the fixture
+
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, Trajectory]:

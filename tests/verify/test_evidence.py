@@ -7,6 +7,8 @@ import servogen as sg
 from servogen.loading import load_scene
 from servogen.verify.evidence import Finding, coverage, listed, misra, tidy, unlisted
 
+pytestmark = pytest.mark.xdist_group("evidence")  # one process makes the fixture
+
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):

@@ -309,16 +309,26 @@ static int double_pendulum_ideal_f32_within(float x, uint32_t low, uint32_t high
     return double_pendulum_ideal_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
+#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define DOUBLE_PENDULUM_IDEAL_F32_NEAR inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+#elif defined(__clang__)
+#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
+#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT /* it does so by itself */
 #else
 #define DOUBLE_PENDULUM_IDEAL_F32_NEAR
+#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static DOUBLE_PENDULUM_IDEAL_F32_NEAR void double_pendulum_ideal_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
+    DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
@@ -929,6 +939,7 @@ static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f
     float w[2];
     int j;
     double_pendulum_ideal_f32_normal_solve(f, r, w);
+    DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }

@@ -343,16 +343,26 @@ static int double_pendulum_ideal_within(double x, uint64_t low, uint64_t high)
     return double_pendulum_ideal_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define DOUBLE_PENDULUM_IDEAL_NEAR
+#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define DOUBLE_PENDULUM_IDEAL_NEAR inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+#elif defined(__clang__)
+#define DOUBLE_PENDULUM_IDEAL_NEAR
+#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT /* it does so by itself */
 #else
 #define DOUBLE_PENDULUM_IDEAL_NEAR
+#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static DOUBLE_PENDULUM_IDEAL_NEAR void double_pendulum_ideal_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
@@ -963,6 +973,7 @@ static void double_pendulum_ideal_normal_apply(const double_pendulum_ideal_norma
     double w[2];
     int j;
     double_pendulum_ideal_normal_solve(f, r, w);
+    DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }

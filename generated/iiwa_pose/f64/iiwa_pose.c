@@ -334,11 +334,20 @@ static int iiwa_pose_within(double x, uint64_t low, uint64_t high)
     return iiwa_pose_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define IIWA_POSE_NEAR
+#define IIWA_POSE_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define IIWA_POSE_NEAR inline __attribute__((always_inline))
+#define IIWA_POSE_WRITTEN_OUT
+#elif defined(__clang__)
+#define IIWA_POSE_NEAR
+#define IIWA_POSE_WRITTEN_OUT /* it does so by itself */
 #else
 #define IIWA_POSE_NEAR
+#define IIWA_POSE_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static const double iiwa_pose_last[4] = { 0.0, 1.0, 1.0, 1.0 };
@@ -348,9 +357,11 @@ static const double iiwa_pose_last[4] = { 0.0, 1.0, 1.0, 1.0 };
 static IIWA_POSE_NEAR void iiwa_pose_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    IIWA_POSE_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
+    IIWA_POSE_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_pose_last[k] * v[3 + k]);
     }
@@ -360,9 +371,11 @@ static IIWA_POSE_NEAR void iiwa_pose_spread(const double *restrict v, double fac
 static IIWA_POSE_NEAR void iiwa_pose_gather(const double *restrict w, double *restrict v)
 {
     int k;
+    IIWA_POSE_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
+    IIWA_POSE_WRITTEN_OUT
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
@@ -373,9 +386,11 @@ static IIWA_POSE_NEAR double iiwa_pose_inner(const double *a, const double *b)
 {
     double sum[4];
     int k;
+    IIWA_POSE_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
+    IIWA_POSE_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
@@ -1229,6 +1244,7 @@ static void iiwa_pose_normal_apply(const iiwa_pose_normal *f, const double *B, c
     double w[6];
     int j;
     iiwa_pose_normal_solve(f, r, w);
+    IIWA_POSE_WRITTEN_OUT
     for (j = 0; j < 8; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
     }

@@ -300,11 +300,20 @@ static int iiwa_position_f32_within(float x, uint32_t low, uint32_t high)
     return iiwa_position_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define IIWA_POSITION_F32_NEAR
+#define IIWA_POSITION_F32_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define IIWA_POSITION_F32_NEAR inline __attribute__((always_inline))
+#define IIWA_POSITION_F32_WRITTEN_OUT
+#elif defined(__clang__)
+#define IIWA_POSITION_F32_NEAR
+#define IIWA_POSITION_F32_WRITTEN_OUT /* it does so by itself */
 #else
 #define IIWA_POSITION_F32_NEAR
+#define IIWA_POSITION_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static const float iiwa_position_f32_last[4] = { 0.0f, 1.0f, 1.0f, 1.0f };
@@ -314,9 +323,11 @@ static const float iiwa_position_f32_last[4] = { 0.0f, 1.0f, 1.0f, 1.0f };
 static IIWA_POSITION_F32_NEAR void iiwa_position_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_position_f32_last[k] * v[3 + k]);
     }
@@ -326,9 +337,11 @@ static IIWA_POSITION_F32_NEAR void iiwa_position_f32_spread(const float *restric
 static IIWA_POSITION_F32_NEAR void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
@@ -339,9 +352,11 @@ static IIWA_POSITION_F32_NEAR float iiwa_position_f32_inner(const float *a, cons
 {
     float sum[4];
     int k;
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
@@ -1051,6 +1066,7 @@ static void iiwa_position_f32_normal_apply(const iiwa_position_f32_normal *f, co
     float w[3];
     int j;
     iiwa_position_f32_normal_solve(f, r, w);
+    IIWA_POSITION_F32_WRITTEN_OUT
     for (j = 0; j < 8; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16];
     }

@@ -334,16 +334,26 @@ static int planar_arm_3r_damped_within(double x, uint64_t low, uint64_t high)
     return planar_arm_3r_damped_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define PLANAR_ARM_3R_DAMPED_NEAR
+#define PLANAR_ARM_3R_DAMPED_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define PLANAR_ARM_3R_DAMPED_NEAR inline __attribute__((always_inline))
+#define PLANAR_ARM_3R_DAMPED_WRITTEN_OUT
+#elif defined(__clang__)
+#define PLANAR_ARM_3R_DAMPED_NEAR
+#define PLANAR_ARM_3R_DAMPED_WRITTEN_OUT /* it does so by itself */
 #else
 #define PLANAR_ARM_3R_DAMPED_NEAR
+#define PLANAR_ARM_3R_DAMPED_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    PLANAR_ARM_3R_DAMPED_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
@@ -353,6 +363,7 @@ static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_spread(const double *
 static PLANAR_ARM_3R_DAMPED_NEAR void planar_arm_3r_damped_gather(const double *restrict w, double *restrict v)
 {
     int k;
+    PLANAR_ARM_3R_DAMPED_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
@@ -963,6 +974,7 @@ static void planar_arm_3r_damped_normal_apply(const planar_arm_3r_damped_normal 
     double w[2];
     int j;
     planar_arm_3r_damped_normal_solve(f, r, w);
+    PLANAR_ARM_3R_DAMPED_WRITTEN_OUT
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3];
     }

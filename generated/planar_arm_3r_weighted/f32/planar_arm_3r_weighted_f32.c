@@ -300,16 +300,26 @@ static int planar_arm_3r_weighted_f32_within(float x, uint32_t low, uint32_t hig
     return planar_arm_3r_weighted_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
+#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define PLANAR_ARM_3R_WEIGHTED_F32_NEAR inline __attribute__((always_inline))
+#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+#elif defined(__clang__)
+#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
+#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT /* it does so by itself */
 #else
 #define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
+#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
+    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
@@ -319,6 +329,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_spread(co
 static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
+    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
@@ -929,6 +940,7 @@ static void planar_arm_3r_weighted_f32_normal_apply(const planar_arm_3r_weighted
     float w[2];
     int j;
     planar_arm_3r_weighted_f32_normal_solve(f, r, w);
+    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3];
     }

@@ -164,16 +164,26 @@ static int quaternion_pointing_within(double x, uint64_t low, uint64_t high)
     return quaternion_pointing_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define QUATERNION_POINTING_NEAR
+#define QUATERNION_POINTING_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define QUATERNION_POINTING_NEAR inline __attribute__((always_inline))
+#define QUATERNION_POINTING_WRITTEN_OUT
+#elif defined(__clang__)
+#define QUATERNION_POINTING_NEAR
+#define QUATERNION_POINTING_WRITTEN_OUT /* it does so by itself */
 #else
 #define QUATERNION_POINTING_NEAR
+#define QUATERNION_POINTING_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static QUATERNION_POINTING_NEAR void quaternion_pointing_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    QUATERNION_POINTING_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
@@ -183,6 +193,7 @@ static QUATERNION_POINTING_NEAR void quaternion_pointing_spread(const double *re
 static QUATERNION_POINTING_NEAR void quaternion_pointing_gather(const double *restrict w, double *restrict v)
 {
     int k;
+    QUATERNION_POINTING_WRITTEN_OUT
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
@@ -896,6 +907,7 @@ static void quaternion_pointing_normal_apply(const quaternion_pointing_normal *f
     double w[3];
     int j;
     quaternion_pointing_normal_solve(f, r, w);
+    QUATERNION_POINTING_WRITTEN_OUT
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3] + w[2] * B[j + 6];
     }

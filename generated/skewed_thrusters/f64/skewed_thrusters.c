@@ -164,16 +164,26 @@ static int skewed_thrusters_within(double x, uint64_t low, uint64_t high)
     return skewed_thrusters_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define SKEWED_THRUSTERS_NEAR
+#define SKEWED_THRUSTERS_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define SKEWED_THRUSTERS_NEAR inline __attribute__((always_inline))
+#define SKEWED_THRUSTERS_WRITTEN_OUT
+#elif defined(__clang__)
+#define SKEWED_THRUSTERS_NEAR
+#define SKEWED_THRUSTERS_WRITTEN_OUT /* it does so by itself */
 #else
 #define SKEWED_THRUSTERS_NEAR
+#define SKEWED_THRUSTERS_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static SKEWED_THRUSTERS_NEAR void skewed_thrusters_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    SKEWED_THRUSTERS_WRITTEN_OUT
     for (k = 0; k < 8; ++k) {
         w[k] = factor * v[k];
     }
@@ -184,9 +194,11 @@ static SKEWED_THRUSTERS_NEAR double skewed_thrusters_inner(const double *a, cons
 {
     double sum[4];
     int k;
+    SKEWED_THRUSTERS_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
+    SKEWED_THRUSTERS_WRITTEN_OUT
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
@@ -1027,6 +1039,7 @@ static void skewed_thrusters_normal_apply(const skewed_thrusters_normal *f, cons
     double w[6];
     int j;
     skewed_thrusters_normal_solve(f, r, w);
+    SKEWED_THRUSTERS_WRITTEN_OUT
     for (j = 0; j < 8; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
     }

@@ -300,16 +300,26 @@ static int unicycle_path_f32_within(float x, uint32_t low, uint32_t high)
     return unicycle_path_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define UNICYCLE_PATH_F32_NEAR
+#define UNICYCLE_PATH_F32_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define UNICYCLE_PATH_F32_NEAR inline __attribute__((always_inline))
+#define UNICYCLE_PATH_F32_WRITTEN_OUT
+#elif defined(__clang__)
+#define UNICYCLE_PATH_F32_NEAR
+#define UNICYCLE_PATH_F32_WRITTEN_OUT /* it does so by itself */
 #else
 #define UNICYCLE_PATH_F32_NEAR
+#define UNICYCLE_PATH_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_spread(const float *restrict v, float factor, float *restrict w)
 {
     int k;
+    UNICYCLE_PATH_F32_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
@@ -319,6 +329,7 @@ static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_spread(const float *restric
 static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
+    UNICYCLE_PATH_F32_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
@@ -929,6 +940,7 @@ static void unicycle_path_f32_normal_apply(const unicycle_path_f32_normal *f, co
     float w[2];
     int j;
     unicycle_path_f32_normal_solve(f, r, w);
+    UNICYCLE_PATH_F32_WRITTEN_OUT
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }

@@ -334,16 +334,26 @@ static int unicycle_path_within(double x, uint64_t low, uint64_t high)
     return unicycle_path_biased(x) - low <= high - low; /* unsigned: one comparison */
 }
 
-/* Inlined where a few vector instructions are all there is; a call elsewhere: small code. */
-#if defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON)) && !defined(__OPTIMIZE_SIZE__)
+/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
+   fast as it can be one number at a time. */
+#if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
+#define UNICYCLE_PATH_NEAR
+#define UNICYCLE_PATH_WRITTEN_OUT
+#elif defined(__SSE2__) || defined(__ARM_NEON)
 #define UNICYCLE_PATH_NEAR inline __attribute__((always_inline))
+#define UNICYCLE_PATH_WRITTEN_OUT
+#elif defined(__clang__)
+#define UNICYCLE_PATH_NEAR
+#define UNICYCLE_PATH_WRITTEN_OUT /* it does so by itself */
 #else
 #define UNICYCLE_PATH_NEAR
+#define UNICYCLE_PATH_WRITTEN_OUT _Pragma("GCC unroll 12")
 #endif
 
 static UNICYCLE_PATH_NEAR void unicycle_path_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
+    UNICYCLE_PATH_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
@@ -353,6 +363,7 @@ static UNICYCLE_PATH_NEAR void unicycle_path_spread(const double *restrict v, do
 static UNICYCLE_PATH_NEAR void unicycle_path_gather(const double *restrict w, double *restrict v)
 {
     int k;
+    UNICYCLE_PATH_WRITTEN_OUT
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
@@ -963,6 +974,7 @@ static void unicycle_path_normal_apply(const unicycle_path_normal *f, const doub
     double w[2];
     int j;
     unicycle_path_normal_solve(f, r, w);
+    UNICYCLE_PATH_WRITTEN_OUT
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
