@@ -331,3 +331,29 @@ def test_step_is_control_then_project() -> None:
         far = twin.step(1e308, **(state | {"tau": [1e10, 1e10, 1e10]}), last=[1.0, 2.0, 3.0])
         assert far.info.status == sg.Status.OVERFLOW
         assert far.value.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_finite_system_that_overflows_inside_the_solver_is_an_overflow() -> None:
+    """With a weight, S W^-1/2 and its product with y are the twins' own affair: both say OVERFLOW, never NONFINITE."""
+    q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau", 3)
+    G = ca.vertcat(ca.horzcat(1, q[0], 0), ca.horzcat(0, 1, q[1]))
+    mechanism = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.SX.eye(2), P=-q, G=G)
+    weight = ca.DM([[2, 0.1, 0], [0.1, 3, 0.2], [0, 0.2, 1]])
+    scene = sg.Scene("huge", mechanism, [sg.Nonholonomic("still", u, Theta=-1.0)], y="input", weight=weight)
+    for twin in both(scene):
+        answer = twin.control(q=[1.0, np.finfo(float).max], u=[0, 0], y=[0, 0, 0], last=[1.0, 2.0, 3.0])
+        assert answer.info.status == sg.Status.OVERFLOW
+        assert answer.value.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("wrong", [{"J": -0.6}, {"m": -3.0}, {"J": 0.0}])
+def test_a_parameter_that_makes_Q_indefinite_is_refused(wrong: dict[str, float]) -> None:
+    """Q = diag(m, J) is positive over the domain; a negative inertia would answer with torques of the wrong sign."""
+    q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau", 2)
+    p = sg.Parameters(m=sg.Parameter(12.0), J=sg.Parameter(0.6))
+    mechanism = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.diag(ca.vertcat(p.m, p.J)), P=-u, G=ca.SX.eye(2))
+    scene = sg.Scene("robot", mechanism, [sg.Nonholonomic("still", u, Theta=-1.0)], parameters=p)
+    for twin in both(scene):
+        before = twin.control(q=[0, 0], u=[1.0, 2.0]).value
+        assert twin.prepare(**wrong) == sg.Status.SINGULAR_MASS
+        assert np.array_equal(twin.control(q=[0, 0], u=[1.0, 2.0]).value, before)

@@ -130,10 +130,11 @@ def test_an_interrupt_loses_nothing_finished(tmp_path):
     assert all(json.loads(line) for line in lines)
 
 
-def test_a_damaged_journal_is_put_aside(tmp_path):
+@pytest.mark.parametrize("damage", [b'{"a task": [1}\n', b"\xff\xfe\x00\n", b"[1, 2]\n", b'{"a task": 7}\n'])
+def test_a_damaged_journal_is_put_aside(tmp_path, damage):
     path = tmp_path / "journal.jsonl"
     journal.Journal(path, 1).write("a task", [1])
-    path.write_text(path.read_text().replace("[1]", "[1"))
+    path.write_bytes(path.read_bytes() + damage)
     assert journal.Journal(path, 1).found == {}
     assert (tmp_path / "journal.jsonl.old").exists()
 

@@ -5,7 +5,6 @@ f behind every literal); and our sin and cos against the board's maths library, 
 """
 
 import argparse
-import os
 import re
 import subprocess
 import tempfile
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from servogen.bench import instructions
 from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.inputs import drawn
 from servogen.bench.results import LABELS, Output
@@ -24,7 +24,7 @@ from servogen.render.mathematics import NEAR, math_context
 from servogen.render.render import environment
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.tools import ToolMissing, firmware_sim
+from servogen.tools import firmware_sim
 from servogen.verify.harness import build_images, execute, require_target, words_of, write_if_changed
 from servogen.verify.vectors import literal
 
@@ -206,31 +206,12 @@ int main(int argc, char **argv)
     return r == 12345;
 }}
 """
-    counts = []
     with tempfile.TemporaryDirectory(prefix="servogen-trig-") as name:
         source, program = Path(name) / "trig.c", Path(name) / "trig"
         source.write_text(text)
-        compile_ = [
-            "gcc",
-            "-O2",
-            "-march=haswell",
-            "-ffp-contract=off",
-            "-std=gnu99",
-            "-w",
-            source,
-            "-o",
-            program,
-            "-lm",
-        ]
-        subprocess.run([str(word) for word in compile_], check=True)
-        for n in range(len(functions)):
-            command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={name}/out", program, str(n)]
-            environment_ = {**os.environ, "LD_BIND_NOW": "1"}
-            done = subprocess.run(
-                [str(word) for word in command], capture_output=True, text=True, check=False, env=environment_
-            )
-            found = re.search(r"Collected : (\d+)", done.stderr)
-            counts.append(int(found[1]) if found else 0)
+        flags = ("-O2", "-march=haswell", "-ffp-contract=off", "-std=gnu99", "-w")
+        subprocess.run(["gcc", *flags, str(source), "-o", str(program), "-lm"], check=True)
+        counts = [instructions.collected([str(program), str(n)]) for n in range(len(functions))]
     return {name: (n - counts[-1]) / 10000 for name, n in zip(functions, counts, strict=True) if name}
 
 
@@ -256,7 +237,7 @@ def main() -> int:
             print(f"{scalar} on {given.target}, {call.replace('|', ': ')}: mean {count.mean}, worst {count.worst}")
         try:
             here = on_this_machine(scalar)
-        except (OSError, ToolMissing) as problem:
+        except OSError as problem:
             print(f"SKIPPED: {problem}")
             continue
         print(f"{scalar} on this machine: " + ", ".join(f"{name} {n:.0f}" for name, n in here.items()), flush=True)

@@ -1,8 +1,10 @@
 """Machine instructions per call, counted by valgrind's callgrind: the same on every run."""
 
 import os
+import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 from servogen.bench.driver import Driver
@@ -10,6 +12,8 @@ from servogen.bench.inputs import Inputs
 from servogen.bench.results import Instructions
 
 MISSING = "instructions are not counted: valgrind is not installed; on Debian or Ubuntu: apt-get install valgrind"
+
+QUIET_LINKER = {**os.environ, "LD_BIND_NOW": "1"}  # else the first call of sin is charged for finding it
 
 
 def available() -> bool:
@@ -28,7 +32,7 @@ def count(driver: Driver, inputs: Inputs, task: int) -> Instructions:
         ["valgrind", *options, *driver.command_once(inputs, task)],
         capture_output=True,
         text=True,
-        env={**os.environ, "LD_BIND_NOW": "1"},  # else the first call of sin is charged for finding it
+        env=QUIET_LINKER,
     )
     if run.returncode != 0:
         raise RuntimeError(f"valgrind failed: {run.stderr}")
@@ -36,6 +40,17 @@ def count(driver: Driver, inputs: Inputs, task: int) -> Instructions:
     total = sum(by_object.values())
     libm = sum(cost for name, cost in by_object.items() if Path(name).name.startswith("libm"))
     return Instructions(total / inputs.count, (total - libm) / inputs.count)
+
+
+def collected(command: Sequence[str], *options: str) -> int:
+    """Instructions of a whole program, or of what it switches on with --instr-atstart=no. RuntimeError where valgrind
+    says none."""
+    argv = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *options, *command]
+    run = subprocess.run(argv, capture_output=True, text=True, env=QUIET_LINKER)
+    found = re.search(r"Collected : (\d+)", run.stderr)
+    if found is None:
+        raise RuntimeError(f"valgrind failed: {run.stderr}")
+    return int(found[1])
 
 
 def _self_cost(profile: Path) -> dict[str, int]:

@@ -149,7 +149,8 @@ def _solve_diagonal(Q: Any, right: Any, positive: bool) -> tuple[Any, MassTreatm
     for k, d in enumerate(diagonal):
         if d.is_constant() and float(d) == 0:
             raise SceneError(f"Q is structurally singular: its diagonal entry {k} is zero")
-    pivots, scales = _guards([ca.fabs(d) for d in diagonal], [ca.SX(0)] * len(diagonal), positive=False)
+    signed = diagonal if positive else [ca.fabs(d) for d in diagonal]
+    pivots, scales = _guards(signed, [ca.SX(0)] * len(diagonal), positive)
     return _matrix(solution), MassTreatment("diagonal", "Q is diagonal: one division per row", pivots, scales, positive)
 
 

@@ -176,7 +176,8 @@ class Module:
         told = told_inputs(replace(kernel.program, outputs=outputs))
         runs = []
         for f in self.inputs:
-            for quiet, places in groupby(range(f.size), lambda k, name=f.name: (name, k) not in told):
+            silent = [(f.name, k) not in told for k in range(f.size)]
+            for quiet, places in groupby(range(f.size), silent.__getitem__):
                 run = list(places)
                 runs += [(f, run[0], len(run))] if quiet else []
         return tuple(runs)

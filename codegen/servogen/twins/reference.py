@@ -17,6 +17,7 @@ from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
@@ -49,6 +50,23 @@ class ReferenceTwin(Twin):
         """The code's tolerances: they say what counts as rank, and a row's default one is the noise of the code."""
         return plan_scene_solver(*optimised_scene(self.scene), self.scalar)
 
+    @cached_property
+    def _definite(self) -> bool:
+        """Whether Q is symmetric and positive definite over the domain: then any other is as bad as a singular one."""
+        defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
+        drawn = draw_states(self.scene, 32)
+        for k in range(32):
+            Q = self._parts({n: v[k] for n, v in drawn.items()} | defaults)["Q"]
+            if not np.array_equal(Q, Q.T) or not np.linalg.eigvalsh(Q)[0] > 0:
+                return False
+        return True
+
+    def _singular(self, Q: FloatArray) -> bool:
+        """Whether Q, its rows and columns scaled to one, has a condition beyond 1 / (n eps), or the wrong sign."""
+        if self._definite and np.any(np.diag(Q) <= 0):
+            return True
+        return _ill_conditioned(Q, EPSILON[self.scalar])
+
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
         if not finite(rounded.values()):
@@ -66,7 +84,7 @@ class ReferenceTwin(Twin):
         Other values of parameters alone that overflow are told by the code in prepare, here when they are needed.
         """
         given = self.parts({f.name: np.array(f.default) for f in self.scene.input_fields()})
-        if "Q" in self._fixed and _singular(given["Q"], EPSILON[self.scalar]):
+        if "Q" in self._fixed and self._singular(given["Q"]):
             return Status.SINGULAR_MASS
         if "weight" in self._fixed and not np.all(np.isfinite(_root(given["weight"]))):
             return Status.OVERFLOW
@@ -92,7 +110,7 @@ class ReferenceTwin(Twin):
         given = self.parts(inputs)
         if names and set(names) <= _WITHOUT_MASS:
             result = {n: given["A" if n == "A" else "psi"] for n in names}
-        elif _singular(given["Q"], EPSILON[self.scalar]):
+        elif self._singular(given["Q"]):
             return Status.SINGULAR_MASS, {}
         else:
             try:
@@ -107,8 +125,10 @@ class ReferenceTwin(Twin):
 
     def parts(self, inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """What the formulas are made of: psi, J, X, the prescribed rate, Q, P, G, y, and the weight if there is one."""
-        rounded = {n: self._round(v) for n, v in inputs.items()}
-        values = self._function(*(ca.DM({**rounded, **self._parameters}[n]) for n in self._names["in"]))
+        return self._parts({n: self._round(v) for n, v in inputs.items()} | self._parameters)
+
+    def _parts(self, given: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        values = self._function(*(ca.DM(given[n]) for n in self._names["in"]))
         return {n: np.array(v, dtype=float) for n, v in zip(self._names["out"], values, strict=True)}
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -138,7 +158,10 @@ class ReferenceTwin(Twin):
         if "weight" not in result:
             tau, info = textbook_solver.solve(S, result[right].ravel(), y, self._plan, last)
         else:
-            tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
+            with np.errstate(all="ignore"):
+                tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
+        if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
+            return Control(last, refusal(Status.OVERFLOW))
         return Control(np.asarray(tau).astype(self.dtype), info)
 
     def _weighted(
@@ -178,7 +201,7 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
         J, b = unit[:, None] * J, unit * b
         inertia = J @ np.linalg.solve(Q, J.T)
         _, info = textbook_solver.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
-        R = np.zeros(len(P))
+        R = np.full(len(P), 0.0 if info.status >= 0 else np.nan)
         if info.rank > 0:
             rows, right = _independent_rows(J, b, info.rank)
             chosen = tuple(sorted(qr(rows, pivoting=True, mode="r")[1][: info.rank]))
@@ -320,7 +343,7 @@ def _with_status(info: Info, status: Status) -> Info:
     return Info(status, info.path, info.rank, info.sweeps, info.sigma_min, info.residual)
 
 
-def _singular(Q: FloatArray, epsilon: float) -> bool:
+def _ill_conditioned(Q: FloatArray, epsilon: float) -> bool:
     """Whether Q, its rows and columns scaled to one, has a condition number beyond 1 / (n eps)."""
     rows = np.max(np.abs(Q), axis=1, keepdims=True)
     if not np.all(np.isfinite(Q)) or np.any(rows == 0):

@@ -20,7 +20,7 @@ from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
 from servogen.verify import objects
 from servogen.verify.bound import BoundUnknownError, Machine, read_machine
-from servogen.verify.harness import HarnessResult, default_states, run_harness
+from servogen.verify.harness import HarnessResult, default_states, fitting, run_harness
 from servogen.verify.loops import LoopUnboundedError, loops_of
 from servogen.verify.truth import Truth, states_to_check
 from servogen.verify.vectors import VectorSet
@@ -101,7 +101,8 @@ def certify(
                 vectors[states] = {p.prefix: _vectors(scene, p, states) for p in packages}
             work = folder / target
             options: dict[str, Any] = {"target": target, "measure": True, "optimisation": optimisation}
-            results = run_harness(paths, vectors[states], build_dir=work / "build", **options)
+            given = {prefix: fitting(one, target) for prefix, one in vectors[states].items()}
+            results = run_harness(paths, given, build_dir=work / "build", **options)
             found += [_certificate(scene, p, target, r, work) for p, r in zip(packages, results, strict=True)]
         return found
 

@@ -128,6 +128,17 @@ def default_states(target: str, otherwise: int) -> int:
     return int(_describe(target).get("states", otherwise))
 
 
+def fitting(vectors: VectorSet, target: str) -> VectorSet:
+    """As many of the vectors as the target holds, evenly chosen."""
+    room, size = int(_describe(target)["vector_bytes"]), data_bytes(vectors)
+    count = max(entry.count for entry in vectors.entries)
+    while size > room and count > 1:
+        count = max(1, min(count - 1, count * room // size))
+        vectors = vectors.thinned(count)
+        size = data_bytes(vectors)
+    return vectors
+
+
 def require_target(target: str = "host", compiler: Compiler = "gcc") -> None:
     """Checks that every tool is there that `target` (on the host: `compiler`) takes.
 

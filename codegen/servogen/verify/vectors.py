@@ -96,6 +96,21 @@ class EntryVectors:
         """Whether the entry point takes the model and the input struct."""
         return self.call not in _ARGUMENTS
 
+    def at(self, places: Integers) -> "EntryVectors":
+        """The vectors at these places, in rising order."""
+        outputs = tuple(
+            dataclasses.replace(o, hi=o.hi[places], lo=o.lo[places], tolerance=o.tolerance[places])
+            for o in self.outputs
+        )
+        return dataclasses.replace(
+            self,
+            outputs=outputs,
+            status=None if self.status is None else np.asarray(self.status)[places],
+            rank=None if self.rank is None else np.asarray(self.rank)[places],
+            arguments={name: values[places] for name, values in self.arguments.items()},
+            domain=None if self.domain is None else int((places < self.domain).sum()),
+        )
+
     def statuses(self) -> Integers:
         """The expected status of each vector, shape (N,)."""
         return np.full(self.count, ANY_ANSWER) if self.status is None else np.asarray(self.status)
@@ -119,6 +134,18 @@ class VectorSet:
     params: Mapping[str, float | list[float]] = field(default_factory=dict)
     input_fields: tuple[tuple[str, int], ...] = ()
     inputs: Mapping[str, Floats] = field(default_factory=dict)
+
+    def thinned(self, count: int) -> "VectorSet":
+        """At most `count` vectors of every entry point, evenly chosen."""
+        return dataclasses.replace(
+            self,
+            entries=tuple(e.at(_evenly(e.count, count)) for e in self.entries),
+            inputs={name: values[_evenly(len(values), count)] for name, values in self.inputs.items()},
+        )
+
+
+def _evenly(have: int, want: int) -> Integers:
+    return np.arange(have) if have <= want else np.linspace(0, have - 1, want).round().astype(int)
 
 
 def split(expected: ArrayLike, scalar: Scalar) -> tuple[Floats, Floats]:

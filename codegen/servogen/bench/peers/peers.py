@@ -5,7 +5,7 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
-from servogen.bench.contenders import CContender, Contender, casadi_c, servogen_c
+from servogen.bench.contenders import BASELINE, CContender, Contender, casadi_c, servogen_c
 from servogen.bench.inputs import Inputs
 from servogen.bench.peers.robots import adam_scene, pinocchio_c
 from servogen.bench.peers.sympy_c import sympy_c
@@ -17,7 +17,7 @@ from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
-NAIVE, BASELINE = "CasADi", "CasADi cse"
+NAIVE = "CasADi"
 
 
 def bench_peers(spec: str, flags: Sequence[str] = ("-O2",), **options: Any) -> Bench:

@@ -7,7 +7,6 @@ Needs a C and a C++ compiler, Eigen 3.4, LAPACKE and OpenBLAS; valgrind for --ca
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ import numpy as np
 
 import servogen as sg
 from servogen import exact
+from servogen.bench import instructions
 from servogen.scalars import EPSILON, Scalar
 from servogen.verify.stress.matrices import with_spectra
 
@@ -101,10 +101,8 @@ def measure(m: int, l: int, scalar: Scalar, kappa: float, rounds: int, folder: P
     if callgrind:
         counting = build(m, l, scalar, folder, callgrind=True)
         for index, name in enumerate(NAMES):
-            argv = ["valgrind", "--tool=callgrind", "--instr-atstart=no", "--callgrind-out-file=/dev/null"]
-            run = subprocess.run([*argv, str(counting), str(data), "1", str(index)], capture_output=True, text=True)
-            found = re.search(r"Collected : (\d+)", run.stderr)
-            results[name]["instructions"] = int(found[1]) / N if found else None
+            command = [str(counting), str(data), "1", str(index)]
+            results[name]["instructions"] = instructions.collected(command, "--instr-atstart=no") / N
     return {
         "shape": f"{m}x{l}",
         "scalar": scalar,

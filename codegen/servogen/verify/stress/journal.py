@@ -28,13 +28,15 @@ class Journal:
             path.write_text(json.dumps(head) + "\n")
 
     def _read(self, path: Path, head: dict[str, Any]) -> bool:
-        text = path.read_text()
+        text = path.read_text(errors="replace")
         lines = text.split("\n")[:-1]  # what follows the last line's end was cut off as it was written
         try:
             entries = [json.loads(line) for line in lines]
         except json.JSONDecodeError:
             return False
         if not entries or entries[0] != head:
+            return False
+        if not all(isinstance(e, dict) and all(isinstance(v, dict | list) for v in e.values()) for e in entries[1:]):
             return False
         for entry in entries[1:]:
             self.found.update(entry)
