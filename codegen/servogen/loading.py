@@ -19,10 +19,10 @@ def builtin_names() -> tuple[str, ...]:
     return tuple(sorted(m.name for m in pkgutil.iter_modules(servogen.scenes.__path__)))
 
 
-def builtin_summary(name: str) -> str:
-    """The first sentence of a built-in scene's file."""
-    text = importlib.import_module(f"servogen.scenes.{name}").__doc__ or ""
-    return text.strip().splitlines()[0]
+def scene_summary(spec: str) -> str:
+    """The first line of what the scene's file says of itself, or its name."""
+    text = (scene_module(spec).__doc__ or "").strip()
+    return text.splitlines()[0] if text else f"From {Path(spec).name}."
 
 
 def load_scene(spec: str) -> Scene:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from servogen.errors import SceneError
 from servogen.plan.module import Module
 from servogen.render.render import SourceFile
 from servogen.scene.scene import Scene
@@ -37,13 +38,16 @@ class Package:
 
 
 def write(files: Sequence[SourceFile], out: str | Path | None, module: Module, scene: Scene | None) -> Package:
-    """Write the files to a folder (made if need be; None: a temporary one)."""
+    """Write the files to a folder (made if need be; None: a temporary one). SceneError where that is no folder."""
     keep = None
     if out is None:
         keep = tempfile.TemporaryDirectory(prefix="servogen-")
         out = keep.name
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise SceneError(f"out: {folder} is a file, or lies below one; give a folder for the package's files") from None
     for f in files:
         (folder / f.name).write_text(f.text, encoding="utf-8", newline="\n")
     manifest = json.loads(next(f.text for f in files if f.name == "manifest.json"))

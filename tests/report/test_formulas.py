@@ -14,6 +14,8 @@ from servogen.ir.evaluate import evaluate
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program
 from servogen.loading import builtin_names, load_scene
+from servogen.plan.module import Target
+from servogen.plan.planner import plan
 from servogen.report.equations import equations
 from servogen.report.formulas import LARGEST, Formulas, formulas
 from servogen.report.mathml import formula, symbol
@@ -144,7 +146,7 @@ def test_textbook_formulas(text: str, wanted: str) -> None:
 
 def test_symbols_as_the_user_named_them() -> None:
     shown = {n: "".join(ET.fromstring(symbol(n)).itertext()) for n in ("theta_0", "m_B", "r_dot_1", "velocity", "c12")}
-    assert shown == {"theta_0": "θ0", "m_B": "mB", "r_dot_1": "r˙1", "velocity": "velocity", "c12": "c12"}
+    assert shown == {"theta_0": "θ0", "m_B": "mB", "r_dot_1": "r′1", "velocity": "velocity", "c12": "c12"}
 
 
 def test_pictures_tell_what_an_entry_depends_on() -> None:
@@ -154,3 +156,17 @@ def test_pictures_tell_what_an_entry_depends_on() -> None:
     assert kinds(program, "M") == [["zero", "number"], ["parameters", "state"]]
     root = ET.fromstring(picture("M", kinds(program, "M")))
     assert [t.text for t in root.iter("title")][3] == "M[1][1]: of the state"
+
+
+def test_what_prepare_computes_has_no_name_of_the_users() -> None:
+    """A parameter called c: the computed c0, c1, ... of the C are other letters on the page."""
+    q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau", 2)
+    p = sg.Parameters(c=sg.Parameter([2.0, 0.3]), m=sg.Parameter(3.0))
+    mechanism = sg.Mechanism(q=q, u=u, tau=tau, Q=p.m * ca.SX.eye(2), P=-p.c * u, G=ca.SX.eye(2) / p.c[0])
+    scene = sg.Scene("friction", mechanism, [sg.Nonholonomic("still", u, Theta=-1.0)], parameters=p)
+    formulation, program = optimised_scene(scene)
+    module = plan(formulation, program, Target("float64", "friction"))
+    assert [f.name for f in module.model if f.name not in ("c", "m")]
+    shown = dict(equations(scene, formulation, module).computed)["Once, in prepare"]
+    names = {"".join(ET.fromstring(line).itertext()).split("=")[0] for line in shown.lines}
+    assert not names & {"c", "c0", "c1", "m"}

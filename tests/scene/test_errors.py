@@ -462,6 +462,11 @@ def test_a_constraint_that_does_not_reach_the_controls() -> None:
     assert built([sg.Holonomic("second mass", x[1], -2.0, -1.0)], mech).path.is_dir()
 
 
+def test_why_a_constraint_does_not_reach_the_controls() -> None:
+    refused(lambda: built([speed(q[0] - 1)]), "constraint 'speed'", "function of q alone", "declare it as sg.Holonomic")
+    refused(lambda: built([speed(ca.SX(0.3))]), "constraint 'speed'", "depends on no state")
+
+
 def test_a_row_of_zeros_is_found_through_rounding() -> None:
     s, c = ca.sin(q[0]), ca.cos(q[0])
     hidden = (s * s + c * c - 1) * u[0] + q[0]

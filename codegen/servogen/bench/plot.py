@@ -58,7 +58,7 @@ def _caption(bench: Bench) -> str:
     return (
         f"{bench.compiler}, {' '.join(bench.flags) or 'no flags'}; {bench.states} states, seed {bench.seed}; "
         f"median of batches of calls at different states, all contenders in turn, {bench.rounds} rounds. "
-        "Lower left is better."
+        "Lower left is better; the grey line joins those that nobody beats in both."
     )
 
 
@@ -74,8 +74,8 @@ def _axes(axes: Any, bench: Bench, output: Output) -> None:
     for epsilon, name in ((2.0**-52, "double"), (2.0**-23, "float")):
         axes.axhline(epsilon, color="#bbbbbb", linewidth=0.8, linestyle=":")
         axes.annotate(
-            f"epsilon of {name}", (0.995, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
-            textcoords="offset points", ha="right", va="bottom", fontsize=7.5, color="#888888",
+            f"epsilon of {name}", (0.005, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
+            textcoords="offset points", ha="left", va="bottom", fontsize=7.5, color="#888888",
         )  # fmt: skip
 
 
@@ -90,12 +90,12 @@ def _title(bench: Bench, output: Output) -> str:
 
 
 def _markers(axes: Any, rows: Sequence[Measurement], top: float) -> None:
-    """Markers, the Pareto line, and labels; infinite errors stand at the upper edge."""
+    """Markers, the line of those that nobody beats in both, and labels; what leaves the axis stands at its edge."""
     points = [(m.times.median, m.errors.largest_relative) for m in rows]
-    line = pareto([p for p in points if 0 < p[1] < float("inf")])
-    axes.plot(*zip(*line, strict=True) if line else ([], []), color=PARETO, linewidth=1, zorder=2)
     bottom = axes.get_ylim()[0]
     placed = [(x, min(max(y, bottom * 1.5), top / 1.5)) for x, y in points]
+    line = pareto([p for p, m in zip(placed, rows, strict=True) if not m.errors.nonfinite])
+    axes.plot(*zip(*line, strict=True) if line else ([], []), color=PARETO, linewidth=1, zorder=2)
     for m, (x, y) in zip(rows, placed, strict=True):
         colour = OURS if m.ours else THEIRS
         axes.plot([x], [y], _DASHES[m.scalar], color=colour, markersize=8 if m.ours else 7, zorder=4)
@@ -119,7 +119,8 @@ def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float
 
 
 def _label(m: Measurement) -> str:
-    error = "not finite" if m.errors.nonfinite else f"{m.errors.largest_ulps:.1f} ulp"
+    ulps = m.errors.largest_ulps
+    error = "not finite" if m.errors.nonfinite else f"{ulps:.1f} ulp" if ulps >= 0.05 else "next to no error"
     return f"{m.contender}  {_time(m.times.median)}, {error}"
 
 
@@ -161,8 +162,9 @@ def _top(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> float:
 
 
 def _limits(rows: Sequence[Measurement]) -> tuple[float, float]:
-    """Of the error axis: the finite errors with a margin, and always the two epsilons."""
-    finite = [e for e in (m.errors.largest_relative for m in rows) if 0 < e < float("inf")]
+    """Of the error axis: the finite errors with a margin, and always the two epsilons; what is next to nothing is not
+    worth an axis."""
+    finite = [e for e in (m.errors.largest_relative for m in rows) if 2.0**-56 < e < float("inf")]
     return min([2.0**-52, *finite]) / 30, max([2.0**-23, *finite]) * 30
 
 

@@ -7,7 +7,7 @@ import click
 
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_solver
-from servogen.loading import builtin_names, builtin_summary, load_scene
+from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
@@ -33,7 +33,7 @@ prefix_option = click.option("--prefix", help="Prefix of all C names; default th
 @json_option
 def list_scenes(as_json: bool) -> None:
     """The built-in scenes."""
-    scenes = {name: (load_scene(name), builtin_summary(name)) for name in builtin_names()}
+    scenes = {name: (load_scene(name), scene_summary(name)) for name in builtin_names()}
     if as_json:
         emit_json(
             [{"name": n, "kind": s.kind, "m": s.rows, "l": s.controls, "text": t} for n, (s, t) in scenes.items()]

@@ -4,7 +4,9 @@ Found are values that exist nowhere, and rows of S (or A) that vanish identicall
 """
 
 import warnings
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from servogen.derive.formulation import Formulation
@@ -16,7 +18,7 @@ from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
-from servogen.scene.constraints import expression_of
+from servogen.scene.constraints import Nonholonomic, expression_of
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
@@ -30,6 +32,7 @@ def check_reach(formulation: Formulation) -> None:
     """
     scene, name = formulation.scene, formulation.scene.system.reach
     labels = _row_labels(scene)
+    owners = [c for c in scene.constraints for _ in range(c.size)]
     quantities = [q for q in formulation.quantities if q.name == name]
     program = number_values(optimise(lower_quantities(scene, quantities)))
     states = draw_states(scene, _SAMPLES) | parameter_defaults(scene)
@@ -42,11 +45,24 @@ def check_reach(formulation: Formulation) -> None:
     for i, label in enumerate(labels):
         if np.all(np.abs(values[:, i, :]) <= 2 * bounds[:, i, :]):
             raise SceneError(
-                f"{label} does not reach the controls: its row of {name} is identically zero. Its relative degree is "
-                "higher; constrain a quantity that the controls change sooner, such as its derivative"
+                f"{label} does not reach the controls: its row of {name} is identically zero. "
+                + _remedy(scene, owners[i])
             )
     if scene.rows <= formulation[name].size2():
         _warn_of_dependence(name, labels, values)
+
+
+def _remedy(scene: Scene, constraint: Any) -> str:
+    expression, mech = expression_of(constraint), scene.mechanism
+    moving = [s for s in (mech.q, mech.u, mech.t) if s is not None]
+    if not any(ca.depends_on(expression, s) for s in (*moving, mech.tau)):
+        return "It depends on no state: write it as a function of q and u"
+    if isinstance(constraint, Nonholonomic) and not ca.depends_on(expression, mech.u):
+        return "It is a function of q alone: declare it as sg.Holonomic, whose second derivative the controls reach"
+    return (
+        "Its relative degree is higher, or no control moves it at all; constrain a quantity that the controls change "
+        "sooner, such as its derivative"
+    )
 
 
 def check_finite(formulation: Formulation) -> None:

@@ -19,7 +19,7 @@ from servogen.compiler import build, optimised_scene
 from servogen.derive.formulation import Quantity
 from servogen.derive.lower import lower_quantities
 from servogen.ir.program import Program
-from servogen.loading import builtin_names, builtin_summary, load_simulation
+from servogen.loading import load_simulation, scene_summary
 from servogen.optimise.passes import optimise
 from servogen.package import Package
 from servogen.report.equations import Equations, equations
@@ -27,6 +27,7 @@ from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
 from servogen.report.sparsity import kinds, picture
 from servogen.scalars import EPSILON
+from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
@@ -38,6 +39,9 @@ from servogen.verify.check import CheckReport, check
 
 Progress = Callable[[int, int, str], None]
 
+STATES_OF_A_BOX = 200
+"""States from which the domain of a scene that draws its own is read off."""
+
 
 @dataclass(frozen=True, eq=False)
 class Figure:
@@ -47,6 +51,17 @@ class Figure:
     caption: str
 
 
+@dataclass(frozen=True)
+class Symbol:
+    """A parameter or an input of the scene, in words."""
+
+    name: str
+    kind: str
+    values: str
+    unit: str
+    text: str
+
+
 @dataclass(frozen=True, eq=False)
 class SceneReport:
     """One scene: what was generated, and its figures. `folder` holds the files, relative to the page."""
@@ -54,6 +69,7 @@ class SceneReport:
     name: str
     summary: str
     scene: Scene
+    symbols: tuple[Symbol, ...]
     manifests: dict[str, dict[str, Any]]  # by scalar
     equations: Equations
     patterns: tuple[tuple[str, str], ...]  # a matrix with its shape, and an SVG of what its entries are
@@ -120,6 +136,20 @@ def collect(
     return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped), paper)
 
 
+def _symbols(scene: Scene) -> tuple[Symbol, ...]:
+    """The parameters with their defaults, and the inputs with what they are drawn from."""
+
+    def numbers(values: Sequence[float]) -> str:
+        return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
+
+    rows = [Symbol(f.name, "parameter", numbers(f.default), f.unit, f.text) for f in scene.parameters]
+    for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_BOX)).items():
+        f = next(f for f in scene.input_fields() if f.name == name)
+        kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
+        rows.append(Symbol(name, kind, f"{numbers(list(low))} to {numbers(list(high))}", f.unit, f.text))
+    return tuple(rows)
+
+
 def _scene_report(
     spec: str,
     scene: Scene,
@@ -150,7 +180,8 @@ def _scene_report(
     formulation, optimised = optimised_scene(scene)
     return SceneReport(
         name=scene.name,
-        summary=builtin_summary(spec) if spec in builtin_names() else f"From {Path(spec).name}.",
+        summary=scene_summary(spec),
+        symbols=_symbols(scene),
         scene=scene,
         manifests={scalar: package.manifest for scalar, package in packages.items()},
         equations=equations(scene, formulation, packages["float64"].module),

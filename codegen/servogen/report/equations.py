@@ -1,7 +1,7 @@
 """A scene in formulas: as the user wrote it, as the textbook derives it, and as the generated code computes it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -102,6 +102,7 @@ def _computed(scene: Scene, module: Module) -> tuple[tuple[str, Formulas], ...]:
     own = {f.name for f in module.parameters}
     kept = tuple(o for o in prepared.outputs if o.name not in own and not o.name.startswith("mass_"))
     if kept:
+        kept = tuple(replace(o, name=names(o.name, 0)) for o in kept)
         shown = formulas(Program(prepared.name, prepared.inputs, prepared.instrs, kept), names)
         parts.append(("Once, in prepare", shown))
     assert module.control is not None
@@ -113,13 +114,16 @@ def _computed(scene: Scene, module: Module) -> tuple[tuple[str, Formulas], ...]:
 
 
 def _names(scene: Scene) -> Any:
-    """(input, index) -> the name of the user's symbol."""
+    """(input, index) -> the name of the user's symbol; what prepare computes takes a letter that no symbol has."""
     fields = [*scene.input_fields(), *(scene.parameters or ())]
     users = {f.name: [s.name() for s in f.symbol.nonzeros()] for f in fields}
     users.setdefault("tau", [s.name() for s in scene.mechanism.tau.nonzeros()])
 
+    letters = {name[:1] for names in users.values() for name in names}
+    letter = next((x for x in "ckhgfbaed" if x not in letters), "computed_")
+
     def name(field: str, index: int) -> str:
-        return users[field][index] if field in users else field
+        return users[field][index] if field in users else letter + field[1:]
 
     return name
 

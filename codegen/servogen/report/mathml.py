@@ -52,17 +52,17 @@ def matrix(rows: Sequence[Sequence[str]]) -> str:
 
 
 def symbol(name: str) -> str:
-    """theta_0 as a Greek letter with its index, r_dot_0 with a dot, m_B with a subscript, other words upright."""
+    """theta_0 as a Greek letter with its index, r_dot_0 primed, m_B with a subscript, other words upright."""
     words = [w for w in re.sub(r"(?<=[A-Za-z])([0-9]+)$", r"_\1", name).split("_") if w] or ["_"]
-    base, below, dots = words[0], [], ""
+    base, below, primes = words[0], [], ""
     for word in words[1:]:
         if word in ("dot", "ddot"):
-            dots = "˙" if word == "dot" else "¨"
+            primes = "′" if word == "dot" else "″"
         else:
             below.append(GREEK.get(word, word))
     text = mi(GREEK.get(base, base))
-    if dots:
-        text = tag("mover", text, mo(dots), accent="true")
+    if primes:  # as the rest of the page writes rates; a dot above is lost in small print
+        text = tag("mrow", text, tag("mo", primes, lspace="0", rspace="0"))
     if not below:
         return text
     index = [mn(word) if word.isdigit() else mi(word) for word in below]

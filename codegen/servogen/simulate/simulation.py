@@ -138,7 +138,8 @@ def start_values(scene: Scene, simulation: Simulation, given: Mapping[str, Any] 
     values["t"] = np.zeros(1)
     for name, value in {**simulation.start, **(given or {})}.items():
         if name not in values or name == "t":
-            raise SceneError(f"start: {name!r} is no state or input; there are {', '.join(set(values) - {'t'})}")
+            known = ", ".join(n for n in values if n != "t")
+            raise SceneError(f"start: {name!r} is no state or input; there are {known}")
         values[name] = sized(value, values[name].size, f"start: {name}")
     return values
 
