@@ -201,8 +201,10 @@ def casadi_c(
     identifier = f"casadi_{'cse' if cse else 'plain'}_{'ldlt_' if ldlt else ''}{scalar}"
     functions = {}
     expressions = user.expressions(scene, ldlt)
-    system = user.function(scene, "system", expressions[Output.SYSTEM], cse)
+    counted = user.function(scene, "counted", expressions.get(Output.SYSTEM, expressions[Output.RIGHT]), cse)
     for output in outputs:
+        if output not in expressions:
+            continue
         expression = expressions[output]
         row_major = expression.T if output is Output.MATRIX else expression  # CasADi counts down columns
         functions[output] = user.function(scene, f"{identifier}_{output.value}", row_major, cse)
@@ -214,7 +216,7 @@ def casadi_c(
         files = (SourceFile(f"{identifier}.c", (Path(folder) / f"{identifier}.c").read_text()),)
     calls = {o: Call(f"call_{o.value}(k, out)", f"{identifier}_{o.value}") for o in functions}
     declarations = _casadi_declarations(functions, inputs, capacity, _REAL[scalar])
-    return CContender(name, identifier, scalar, False, files, declarations, calls, operations=_operations(system))
+    return CContender(name, identifier, scalar, False, files, declarations, calls, operations=_operations(counted))
 
 
 def _operations(function: Any) -> int:
