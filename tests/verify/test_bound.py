@@ -67,6 +67,7 @@ __attribute__((naked)) int sample_branch(int x)
 {
     __asm volatile("cmp r0, #0\\n beq 1f\\n nop\\n nop\\n nop\\n 1: bx lr");
 }
+__attribute__((naked)) int sample_far(int x) { __asm volatile("push {lr}\\n bl 1f\\n nop\\n nop\\n 1: pop {pc}"); }
 int sample_nest(volatile int *x)
 {
     int i, j;
@@ -101,6 +102,11 @@ def test_straight_code_counts_exactly(machine):
     assert machine.bound("sample_straight") == 4
     assert machine.bound("sample_branch") == 6
     assert 4 < machine.turn("hv_repeat", "sample_straight") <= 10
+
+
+def test_a_branch_with_link_inside_its_function_is_a_jump(machine):
+    """How gcc jumps far on v6-M; once it was taken for recursion."""
+    assert machine.bound("sample_far") == 3
 
 
 def test_loops_count_all_their_turns(machine):

@@ -154,7 +154,11 @@ def read_machine(objdump: str, nm: str, image: Path, addr2line: str, source: Pat
         if kind in "tTwW" and not name.startswith("$"):
             addresses[name] = int(value, 16) & ~1
             names.setdefault(int(value, 16) & ~1, name)
-    own = [a for a, name in _within(sorted(steps), names) if name.startswith(source.stem)]
+    function = dict(_within(sorted(steps), names))
+    for at, step in steps.items():
+        if step.calls is not None and step.calls not in names and function.get(step.calls) == function[at]:
+            steps[at] = Step((step.calls,))  # v6-M has no other jump as far as that
+    own = [a for a, name in function.items() if name.startswith(source.stem)]
     sources = _read_sources(addr2line, image, own, source, tuple(loops))
     return Machine(steps, names, addresses, sources)
 
