@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from servogen.bench.results import LABELS, Bench, Measurement, Output
 
@@ -49,7 +50,7 @@ def _figure(bench: Bench) -> Figure:
         _markers(axes, rows, high)
     panels[0].set_ylabel("largest error, as a part of the output's largest magnitude")
     figure.suptitle(f"{bench.scene}: run time against error", x=0.012, y=0.985, ha="left", fontsize=14, weight="bold")
-    figure.text(0.012, 0.905, _caption(bench), ha="left", fontsize=9.5, color="#444444")
+    figure.text(0.012, 0.94, _caption(bench), ha="left", va="top", fontsize=9.5, color="#444444")
     figure.subplots_adjust(left=0.062, right=0.99, top=0.85, bottom=0.1, wspace=0.04)
     return figure
 
@@ -57,7 +58,7 @@ def _figure(bench: Bench) -> Figure:
 def _caption(bench: Bench) -> str:
     return (
         f"{bench.compiler}, {' '.join(bench.flags) or 'no flags'}; {bench.states} states, seed {bench.seed}; "
-        f"median of batches of calls at different states, all contenders in turn, {bench.rounds} rounds. "
+        f"median of batches of calls at different states, all contenders in turn, {bench.rounds} rounds.\n"
         "Lower left is better; the grey line joins those that nobody beats in both."
     )
 
@@ -67,6 +68,8 @@ def _axes(axes: Any, bench: Bench, output: Output) -> None:
     axes.set_yscale("log")
     axes.set_title(_title(bench, output), loc="left", fontsize=11)
     axes.set_xlabel("time per call, ns")
+    axes.xaxis.set_major_formatter(LogFormatter())
+    axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1, 0.4)))
     axes.grid(True, which="major", color="#e6e6e6", linewidth=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
