@@ -89,3 +89,13 @@ def test_the_thrusters_hold_velocity_and_rate() -> None:
     S = sg.reference(load_scene("skewed_thrusters")).S(u=[0] * 6)
     null = np.eye(8) - np.linalg.pinv(S) @ S
     assert np.linalg.norm(null @ rest) < 1e-9
+
+
+def test_the_arms_end_effector_takes_its_pose() -> None:
+    """Position and orientation decay with the double rate -10, and stay clear of where the constraints lose rank."""
+    found = run("iiwa_pose")
+    assert found.stop.reason == "finished"
+    size = np.linalg.norm(found.constraint, axis=1)
+    expected = size[0] * (1 + 10 * found.t) * np.exp(-10 * found.t)
+    assert np.max(np.abs(size - expected)) < 1e-6
+    assert found.sigma_min.min() > 0.1

@@ -44,15 +44,17 @@ scene = sg.Scene(
     domain=_state,
 )
 
-# From rest, a quarter of a metre and a third of a turn from the reference.
+# From rest, a quarter of a metre and a seventh of a turn from the reference; more than a quarter of a turn would lead to
+# the other zero of the orientation's psi, half a turn away. Out of the plane: there the constraints lose a rank.
 simulation = sg.Simulation(
     start={
-        "q": [0.0, 0.6, 0.0, -1.2, 0.0, 0.9, 0.0],
+        "q": [0.3, 0.6, 0.5, -1.2, 0.4, 0.9, 0.2],
         "u": [0.0] * 7,
-        "r": [0.4, 0.2, 0.7],
-        "o": [0.0, 0.5**0.5, 0.0, 0.5**0.5],
+        "r": [0.45, 0.1, 0.6],
+        "o": [0.0, 0.0, 0.5**0.5, 0.5**0.5],
     },
     duration=1.5,
     step=1e-3,
+    sigma_min=0.01,
     units={"q": "rad", "u": "rad/s", "tau": "N m"},
 )
