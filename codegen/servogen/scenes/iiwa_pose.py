@@ -44,8 +44,8 @@ scene = sg.Scene(
     domain=_state,
 )
 
-# From rest, a quarter of a metre and a seventh of a turn from the reference; more than a quarter of a turn would lead to
-# the other zero of the orientation's psi, half a turn away. Out of the plane: there the constraints lose a rank.
+# From rest, a quarter of a metre and a seventh of a turn from the reference; more than a quarter of a turn would lead
+# to the other zero of the orientation's psi, half a turn away. Not in a plane: there the constraints lose a rank.
 simulation = sg.Simulation(
     start={
         "q": [0.3, 0.6, 0.5, -1.2, 0.4, 0.9, 0.2],
