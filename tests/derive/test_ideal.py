@@ -72,7 +72,7 @@ def test_both_routes_agree_over_the_pendulums_domain() -> None:
 def test_gauss_principle() -> None:
     """u' = Q^-1 (P + R) minimises (u' - a)^T Q (u' - a), a = Q^-1 P, subject to the rows: by Lagrange's conditions."""
     scene = ideal(7)
-    code, textbook = as_derived(scene), sg.reference(scene)
+    code, textbook = sg.build(scene).load(), sg.reference(scene)
     for state in states_of(scene, 25):
         parts = textbook.parts(textbook.read_inputs(state))
         Q, P, J = parts["Q"], parts["P"].ravel(), parts["J"]

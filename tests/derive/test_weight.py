@@ -63,7 +63,7 @@ def test_the_answer_is_the_weighted_minimum(weight: Any, y: Any) -> None:
 
 def test_controls_involved_constraints_take_a_weight_as_well() -> None:
     scene = weighted(5, NUMBERS, "controls", y=of_velocity)
-    code, textbook = as_derived(scene), sg.reference(scene)
+    code, textbook = sg.build(scene).load(), sg.reference(scene)
     states = draw_states(scene, 10)
     for k in range(10):
         state = {n: v[k] for n, v in states.items()}

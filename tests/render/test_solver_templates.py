@@ -61,7 +61,7 @@ def compile_text(text, compiler, folder, *flags):
 def test_strict_flags(shape, scalar, compiler, tmp_path, need_tool):
     need_tool(compiler, compiler)
     for solver in SOLVERS.values():
-        done = compile_text(render(*shape, scalar, solver), compiler, tmp_path, "-O1")  # a campaign takes -O2
+        done = compile_text(render(*shape, scalar, solver), compiler, tmp_path, "-O2")
         assert done.returncode == 0, done.stderr
 
 

@@ -202,9 +202,7 @@ def casadi_c(
     functions = {}
     expressions = user.expressions(scene, ldlt)
     counted = user.function(scene, "counted", expressions.get(Output.SYSTEM, expressions[Output.RIGHT]), cse)
-    for output in outputs:
-        if output not in expressions:
-            continue
+    for output in (o for o in outputs if o in expressions):
         expression = expressions[output]
         row_major = expression.T if output is Output.MATRIX else expression  # CasADi counts down columns
         functions[output] = user.function(scene, f"{identifier}_{output.value}", row_major, cse)

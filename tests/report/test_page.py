@@ -1,0 +1,31 @@
+"""The whole page of one scene, built as `servogen report` builds it."""
+
+import re
+
+import pytest
+from servogen.loading import load_scene
+from servogen.report.collect import collect
+from servogen.report.page import render_page
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    told = []
+    report = collect(["unicycle_path"], folder, None, 20, 1, (), lambda *progress: told.append(progress))
+    assert [done for done, _, _ in told] == list(range(len(told)))
+    return render_page(report)
+
+
+def test_nothing_failed_and_nothing_comes_from_the_network(page):
+    assert 'class="bad"' not in page
+    assert not re.search(r'(?:src|href)="https?:', page)
+
+
+def test_it_says_what_the_scene_is_made_of_and_what_its_solver_costs(page):
+    scene = load_scene("unicycle_path")
+    for f in scene.parameters:
+        assert f"<td><code>{f.name}</code></td>" in page
+    control = re.search(r"<td><code>unicycle_path_control</code></td>.*", page)[0]
+    assert "and the solver:" in control
+    assert "and the solver:" not in re.search(r"<td><code>unicycle_path_S_z</code></td>.*", page)[0]
