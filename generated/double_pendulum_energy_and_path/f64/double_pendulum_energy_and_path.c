@@ -346,10 +346,18 @@ static uint64_t double_pendulum_energy_and_path_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_energy_and_path_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t double_pendulum_energy_and_path_biased_square(double square)
 {
-    return double_pendulum_energy_and_path_biased(x) - low <= high - low; /* unsigned: one comparison */
+    double_pendulum_energy_and_path_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_energy_and_path_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -411,7 +419,7 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!double_pendulum_energy_and_path_within(g_0_0, 523, 1523) || !double_pendulum_energy_and_path_within(g_1_1, 928, 1523)) {
+    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_0_0), 523, 1523) || !double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_1_1), 928, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1163,7 +1171,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_inner(x, x), 23, 1923)) {
+    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(double_pendulum_energy_and_path_inner(x, x)), 23, 1923)) {
         return 0;
     }
     if (info != NULL) {

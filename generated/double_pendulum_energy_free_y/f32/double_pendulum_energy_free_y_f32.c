@@ -298,10 +298,18 @@ static uint32_t double_pendulum_energy_free_y_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_energy_free_y_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t double_pendulum_energy_free_y_f32_biased_square(float square)
 {
-    return double_pendulum_energy_free_y_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    double_pendulum_energy_free_y_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_energy_free_y_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -405,10 +413,7 @@ static int double_pendulum_energy_free_y_f32_scale_row(const float *S, double_pe
     for (j = 0; j < 2; ++j) {
         row->s[j] = row->rank ? double_pendulum_energy_free_y_f32_shift(S[j], -row->unit) : 0.0f;
     }
-    row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 2; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
+    row->square = row->s[0] * row->s[0] + row->s[1] * row->s[1];
     return 1;
 }
 
@@ -422,17 +427,16 @@ static void double_pendulum_energy_free_y_f32_fill_info(const float *S, int stat
 {
     const uint32_t magnitude = double_pendulum_energy_free_y_f32_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_free_y_f32_exponent(magnitude);
-    float square = 0.0f;
+    float s[2];
     int j;
     for (j = 0; j < 2; ++j) {
-        const float s = double_pendulum_energy_free_y_f32_shift(S[j], -unit);
-        square += s * s;
+        s[j] = double_pendulum_energy_free_y_f32_shift(S[j], -unit);
     }
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_energy_free_y_f32_shift(double_pendulum_energy_free_y_f32_sqrt(square), unit);
+    info->sigma_min = double_pendulum_energy_free_y_f32_shift(double_pendulum_energy_free_y_f32_sqrt(s[0] * s[0] + s[1] * s[1]), unit);
     info->residual = residual;
 }
 
@@ -470,8 +474,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            rest -= row.s[j] * double_pendulum_energy_free_y_f32_shift(y[j], -unit);
+            answer[j] = double_pendulum_energy_free_y_f32_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0] + row.s[1] * answer[1];
     }
     refine = y != NULL && double_pendulum_energy_free_y_f32_cancels(rest, target);
     if (row.rank) {
@@ -484,9 +489,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
         }
     }
     if (refine && row.rank) {
+        float met[2];
         for (j = 0; j < 2; ++j) {
-            target -= row.s[j] * double_pendulum_energy_free_y_f32_shift(answer[j], -unit);
+            met[j] = double_pendulum_energy_free_y_f32_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0] + row.s[1] * met[1];
         target *= 1.0f / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_free_y_f32_shift(row.s[j] * target, unit);
@@ -552,16 +559,16 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_energy_free_y_f32_within(square, 97, 157)) {
+    if (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased_square(square), 97, 157)) {
         if (y == NULL) {
-            if (double_pendulum_energy_free_y_f32_within(target, 67, 187)) {
+            if (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased(target), 67, 187)) {
                 const float scale = target / square;
                 const float t_0 = s_0 * scale;
                 const float t_1 = s_1 * scale;
                 tau[0] = t_0;
                 tau[1] = t_1;
                 if (info != NULL) {
-                    return double_pendulum_energy_free_y_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                    return double_pendulum_energy_free_y_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 
@@ -569,20 +576,20 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
         } else {
             const float y_0 = y[0];
             const float y_1 = y[1];
-            const float rest = target - s_0 * y_0 - s_1 * y_1;
-            if (double_pendulum_energy_free_y_f32_within(rest, 67, 187)) {
+            const float rest = target - (s_0 * y_0 + s_1 * y_1);
+            if (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased(rest), 67, 187)) {
                 const float scale = rest / square;
                 float t_0 = y_0 + s_0 * scale;
                 float t_1 = y_1 + s_1 * scale;
                 if (double_pendulum_energy_free_y_f32_cancels(rest, target)) {
-                    const float more = (target - s_0 * t_0 - s_1 * t_1) * (1.0f / square);
+                    const float more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0f / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
                 if (info != NULL) {
-                    return double_pendulum_energy_free_y_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                    return double_pendulum_energy_free_y_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 
@@ -594,12 +601,9 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
 
 static int double_pendulum_energy_free_y_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
 {
-    float square = S[0] * S[0];
+    const float square = S[0] * S[0] + S[1] * S[1];
     int j;
-    for (j = 1; j < 2; ++j) {
-        square += S[j] * S[j];
-    }
-    if (double_pendulum_energy_free_y_f32_within(square, 97, 157)) {
+    if (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased_square(square), 97, 157)) {
         if (info != NULL) {
             (void)double_pendulum_energy_free_y_f32_quick_info(square, 0.0f, info);
         }

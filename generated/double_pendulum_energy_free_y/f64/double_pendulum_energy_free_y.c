@@ -332,10 +332,18 @@ static uint64_t double_pendulum_energy_free_y_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_energy_free_y_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t double_pendulum_energy_free_y_biased_square(double square)
 {
-    return double_pendulum_energy_free_y_biased(x) - low <= high - low; /* unsigned: one comparison */
+    double_pendulum_energy_free_y_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_energy_free_y_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -439,10 +447,7 @@ static int double_pendulum_energy_free_y_scale_row(const double *S, double_pendu
     for (j = 0; j < 2; ++j) {
         row->s[j] = row->rank ? double_pendulum_energy_free_y_shift(S[j], -row->unit) : 0.0;
     }
-    row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 2; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
+    row->square = row->s[0] * row->s[0] + row->s[1] * row->s[1];
     return 1;
 }
 
@@ -456,17 +461,16 @@ static void double_pendulum_energy_free_y_fill_info(const double *S, int status,
 {
     const uint64_t magnitude = double_pendulum_energy_free_y_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_free_y_exponent(magnitude);
-    double square = 0.0;
+    double s[2];
     int j;
     for (j = 0; j < 2; ++j) {
-        const double s = double_pendulum_energy_free_y_shift(S[j], -unit);
-        square += s * s;
+        s[j] = double_pendulum_energy_free_y_shift(S[j], -unit);
     }
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_energy_free_y_shift(double_pendulum_energy_free_y_sqrt(square), unit);
+    info->sigma_min = double_pendulum_energy_free_y_shift(double_pendulum_energy_free_y_sqrt(s[0] * s[0] + s[1] * s[1]), unit);
     info->residual = residual;
 }
 
@@ -504,8 +508,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 2; ++j) {
-            rest -= row.s[j] * double_pendulum_energy_free_y_shift(y[j], -unit);
+            answer[j] = double_pendulum_energy_free_y_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0] + row.s[1] * answer[1];
     }
     refine = y != NULL && double_pendulum_energy_free_y_cancels(rest, target);
     if (row.rank) {
@@ -518,9 +523,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
         }
     }
     if (refine && row.rank) {
+        double met[2];
         for (j = 0; j < 2; ++j) {
-            target -= row.s[j] * double_pendulum_energy_free_y_shift(answer[j], -unit);
+            met[j] = double_pendulum_energy_free_y_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0] + row.s[1] * met[1];
         target *= 1.0 / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_free_y_shift(row.s[j] * target, unit);
@@ -586,16 +593,16 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_energy_free_y_within(square, 823, 1223)) {
+    if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(square), 823, 1223)) {
         if (y == NULL) {
-            if (double_pendulum_energy_free_y_within(target, 323, 1723)) {
+            if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased(target), 323, 1723)) {
                 const double scale = target / square;
                 const double t_0 = s_0 * scale;
                 const double t_1 = s_1 * scale;
                 tau[0] = t_0;
                 tau[1] = t_1;
                 if (info != NULL) {
-                    return double_pendulum_energy_free_y_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                    return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 
@@ -603,20 +610,20 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
         } else {
             const double y_0 = y[0];
             const double y_1 = y[1];
-            const double rest = target - s_0 * y_0 - s_1 * y_1;
-            if (double_pendulum_energy_free_y_within(rest, 323, 1723)) {
+            const double rest = target - (s_0 * y_0 + s_1 * y_1);
+            if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased(rest), 323, 1723)) {
                 const double scale = rest / square;
                 double t_0 = y_0 + s_0 * scale;
                 double t_1 = y_1 + s_1 * scale;
                 if (double_pendulum_energy_free_y_cancels(rest, target)) {
-                    const double more = (target - s_0 * t_0 - s_1 * t_1) * (1.0 / square);
+                    const double more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0 / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
                 if (info != NULL) {
-                    return double_pendulum_energy_free_y_quick_info(square, target - s_0 * t_0 - s_1 * t_1, info);
+                    return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 
@@ -628,12 +635,9 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
 
 static int double_pendulum_energy_free_y_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info)
 {
-    double square = S[0] * S[0];
+    const double square = S[0] * S[0] + S[1] * S[1];
     int j;
-    for (j = 1; j < 2; ++j) {
-        square += S[j] * S[j];
-    }
-    if (double_pendulum_energy_free_y_within(square, 823, 1223)) {
+    if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(square), 823, 1223)) {
         if (info != NULL) {
             (void)double_pendulum_energy_free_y_quick_info(square, 0.0, info);
         }

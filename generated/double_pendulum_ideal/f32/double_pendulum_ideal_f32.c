@@ -295,18 +295,18 @@ static float double_pendulum_ideal_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
-static uint32_t double_pendulum_ideal_f32_biased(float x)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t double_pendulum_ideal_f32_biased_square(float square)
 {
     double_pendulum_ideal_f32_word word;
-    word.value = x;
-    return word.bits << 1 >> 24;
+    word.value = square;
+    return word.bits >> 23;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_ideal_f32_within(float x, uint32_t low, uint32_t high)
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_ideal_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return double_pendulum_ideal_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -358,7 +358,7 @@ static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendul
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!double_pendulum_ideal_f32_within(g_0_0, 87, 167) || !double_pendulum_ideal_f32_within(g_1_1, 87, 167)) {
+    if (!double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_0_0), 87, 167) || !double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_1_1), 87, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1108,10 +1108,18 @@ static uint32_t double_pendulum_ideal_f32_reaction_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_ideal_f32_reaction_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t double_pendulum_ideal_f32_reaction_biased_square(float square)
 {
-    return double_pendulum_ideal_f32_reaction_biased(x) - low <= high - low; /* unsigned: one comparison */
+    double_pendulum_ideal_f32_reaction_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_ideal_f32_reaction_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -1216,9 +1224,6 @@ static int double_pendulum_ideal_f32_reaction_scale_row(const float *S, double_p
         row->s[j] = row->rank ? double_pendulum_ideal_f32_reaction_shift(S[j], -row->unit) : 0.0f;
     }
     row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 1; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
     return 1;
 }
 
@@ -1232,17 +1237,16 @@ static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int sta
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_f32_reaction_exponent(magnitude);
-    float square = 0.0f;
+    float s[1];
     int j;
     for (j = 0; j < 1; ++j) {
-        const float s = double_pendulum_ideal_f32_reaction_shift(S[j], -unit);
-        square += s * s;
+        s[j] = double_pendulum_ideal_f32_reaction_shift(S[j], -unit);
     }
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(square), unit);
+    info->sigma_min = double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(s[0] * s[0]), unit);
     info->residual = residual;
 }
 
@@ -1280,8 +1284,9 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 1; ++j) {
-            rest -= row.s[j] * double_pendulum_ideal_f32_reaction_shift(y[j], -unit);
+            answer[j] = double_pendulum_ideal_f32_reaction_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0];
     }
     refine = y != NULL && double_pendulum_ideal_f32_reaction_cancels(rest, target);
     if (row.rank) {
@@ -1294,9 +1299,11 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
         }
     }
     if (refine && row.rank) {
+        float met[1];
         for (j = 0; j < 1; ++j) {
-            target -= row.s[j] * double_pendulum_ideal_f32_reaction_shift(answer[j], -unit);
+            met[j] = double_pendulum_ideal_f32_reaction_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0];
         target *= 1.0f / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_f32_reaction_shift(row.s[j] * target, unit);
@@ -1337,31 +1344,31 @@ static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const f
     const float target = z[0];
     const float square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_ideal_f32_reaction_within(square, 97, 157)) {
+    if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased_square(square), 97, 157)) {
         if (y == NULL) {
-            if (double_pendulum_ideal_f32_reaction_within(target, 67, 187)) {
+            if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(target), 67, 187)) {
                 const float scale = target / square;
                 const float t_0 = s_0 * scale;
                 tau[0] = t_0;
                 if (info != NULL) {
-                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - s_0 * t_0, info);
+                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_F32_OK;
 
             }
         } else {
             const float y_0 = y[0];
-            const float rest = target - s_0 * y_0;
-            if (double_pendulum_ideal_f32_reaction_within(rest, 67, 187)) {
+            const float rest = target - (s_0 * y_0);
+            if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(rest), 67, 187)) {
                 const float scale = rest / square;
                 float t_0 = y_0 + s_0 * scale;
                 if (double_pendulum_ideal_f32_reaction_cancels(rest, target)) {
-                    const float more = (target - s_0 * t_0) * (1.0f / square);
+                    const float more = (target - (s_0 * t_0)) * (1.0f / square);
                     t_0 += s_0 * more;
                 }
                 tau[0] = t_0;
                 if (info != NULL) {
-                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - s_0 * t_0, info);
+                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_F32_OK;
 

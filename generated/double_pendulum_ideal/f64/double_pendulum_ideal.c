@@ -329,18 +329,18 @@ static double double_pendulum_ideal_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
-static uint64_t double_pendulum_ideal_biased(double x)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t double_pendulum_ideal_biased_square(double square)
 {
     double_pendulum_ideal_word word;
-    word.value = x;
-    return word.bits << 1 >> 53;
+    word.value = square;
+    return word.bits >> 52;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_ideal_within(double x, uint64_t low, uint64_t high)
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_ideal_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return double_pendulum_ideal_biased(x) - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -392,7 +392,7 @@ static int double_pendulum_ideal_normal_factor(const double *B, double_pendulum_
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!double_pendulum_ideal_within(g_0_0, 523, 1523) || !double_pendulum_ideal_within(g_1_1, 523, 1523)) {
+    if (!double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_0_0), 523, 1523) || !double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_1_1), 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1142,10 +1142,18 @@ static uint64_t double_pendulum_ideal_reaction_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int double_pendulum_ideal_reaction_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t double_pendulum_ideal_reaction_biased_square(double square)
 {
-    return double_pendulum_ideal_reaction_biased(x) - low <= high - low; /* unsigned: one comparison */
+    double_pendulum_ideal_reaction_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_ideal_reaction_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -1250,9 +1258,6 @@ static int double_pendulum_ideal_reaction_scale_row(const double *S, double_pend
         row->s[j] = row->rank ? double_pendulum_ideal_reaction_shift(S[j], -row->unit) : 0.0;
     }
     row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 1; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
     return 1;
 }
 
@@ -1266,17 +1271,16 @@ static void double_pendulum_ideal_reaction_fill_info(const double *S, int status
 {
     const uint64_t magnitude = double_pendulum_ideal_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_reaction_exponent(magnitude);
-    double square = 0.0;
+    double s[1];
     int j;
     for (j = 0; j < 1; ++j) {
-        const double s = double_pendulum_ideal_reaction_shift(S[j], -unit);
-        square += s * s;
+        s[j] = double_pendulum_ideal_reaction_shift(S[j], -unit);
     }
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(square), unit);
+    info->sigma_min = double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(s[0] * s[0]), unit);
     info->residual = residual;
 }
 
@@ -1314,8 +1318,9 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 1; ++j) {
-            rest -= row.s[j] * double_pendulum_ideal_reaction_shift(y[j], -unit);
+            answer[j] = double_pendulum_ideal_reaction_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0];
     }
     refine = y != NULL && double_pendulum_ideal_reaction_cancels(rest, target);
     if (row.rank) {
@@ -1328,9 +1333,11 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
         }
     }
     if (refine && row.rank) {
+        double met[1];
         for (j = 0; j < 1; ++j) {
-            target -= row.s[j] * double_pendulum_ideal_reaction_shift(answer[j], -unit);
+            met[j] = double_pendulum_ideal_reaction_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0];
         target *= 1.0 / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_reaction_shift(row.s[j] * target, unit);
@@ -1371,31 +1378,31 @@ static int double_pendulum_ideal_reaction_solve_core(const double *S, const doub
     const double target = z[0];
     const double square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_ideal_reaction_within(square, 823, 1223)) {
+    if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased_square(square), 823, 1223)) {
         if (y == NULL) {
-            if (double_pendulum_ideal_reaction_within(target, 323, 1723)) {
+            if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(target), 323, 1723)) {
                 const double scale = target / square;
                 const double t_0 = s_0 * scale;
                 tau[0] = t_0;
                 if (info != NULL) {
-                    return double_pendulum_ideal_reaction_quick_info(square, target - s_0 * t_0, info);
+                    return double_pendulum_ideal_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_OK;
 
             }
         } else {
             const double y_0 = y[0];
-            const double rest = target - s_0 * y_0;
-            if (double_pendulum_ideal_reaction_within(rest, 323, 1723)) {
+            const double rest = target - (s_0 * y_0);
+            if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(rest), 323, 1723)) {
                 const double scale = rest / square;
                 double t_0 = y_0 + s_0 * scale;
                 if (double_pendulum_ideal_reaction_cancels(rest, target)) {
-                    const double more = (target - s_0 * t_0) * (1.0 / square);
+                    const double more = (target - (s_0 * t_0)) * (1.0 / square);
                     t_0 += s_0 * more;
                 }
                 tau[0] = t_0;
                 if (info != NULL) {
-                    return double_pendulum_ideal_reaction_quick_info(square, target - s_0 * t_0, info);
+                    return double_pendulum_ideal_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_OK;
 

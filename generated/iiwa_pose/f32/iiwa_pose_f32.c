@@ -294,10 +294,18 @@ static uint32_t iiwa_pose_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int iiwa_pose_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t iiwa_pose_f32_biased_square(float square)
 {
-    return iiwa_pose_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    iiwa_pose_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int iiwa_pose_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -408,7 +416,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     float v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     float v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     float bound;
-    if (!iiwa_pose_f32_within(g_0_0, 92, 167) || !iiwa_pose_f32_within(g_1_1, 94, 167) || !iiwa_pose_f32_within(g_2_2, 87, 167) || !iiwa_pose_f32_within(g_3_3, 114, 167) || !iiwa_pose_f32_within(g_4_4, 114, 167) || !iiwa_pose_f32_within(g_5_5, 112, 167)) {
+    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_0_0), 92, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_1_1), 94, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_2_2), 87, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_3_3), 114, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_4_4), 114, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_5_5), 112, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1379,7 +1387,7 @@ static IIWA_POSE_F32_NEAR int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *n
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_pose_f32_within(iiwa_pose_f32_inner(x, x), 27, 237)) {
+    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(iiwa_pose_f32_inner(x, x)), 27, 237)) {
         return 0;
     }
     if (info != NULL) {

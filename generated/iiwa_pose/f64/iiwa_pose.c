@@ -328,10 +328,18 @@ static uint64_t iiwa_pose_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int iiwa_pose_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t iiwa_pose_biased_square(double square)
 {
-    return iiwa_pose_biased(x) - low <= high - low; /* unsigned: one comparison */
+    iiwa_pose_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int iiwa_pose_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -442,7 +450,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     double bound;
-    if (!iiwa_pose_within(g_0_0, 930, 1523) || !iiwa_pose_within(g_1_1, 932, 1523) || !iiwa_pose_within(g_2_2, 523, 1523) || !iiwa_pose_within(g_3_3, 952, 1523) || !iiwa_pose_within(g_4_4, 952, 1523) || !iiwa_pose_within(g_5_5, 950, 1523)) {
+    if (!iiwa_pose_within(iiwa_pose_biased_square(g_0_0), 930, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_1_1), 932, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_2_2), 523, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_3_3), 952, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_4_4), 952, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_5_5), 950, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1413,7 +1421,7 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_pose_within(iiwa_pose_inner(x, x), 23, 1923)) {
+    if (!iiwa_pose_within(iiwa_pose_biased_square(iiwa_pose_inner(x, x)), 23, 1923)) {
         return 0;
     }
     if (info != NULL) {

@@ -328,10 +328,18 @@ static uint64_t iiwa_position_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int iiwa_position_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t iiwa_position_biased_square(double square)
 {
-    return iiwa_position_biased(x) - low <= high - low; /* unsigned: one comparison */
+    iiwa_position_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int iiwa_position_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -421,7 +429,7 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     double v_1_0, l_1_0, n_1_0;
     double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     double bound;
-    if (!iiwa_position_within(g_0_0, 930, 1523) || !iiwa_position_within(g_1_1, 932, 1523) || !iiwa_position_within(g_2_2, 523, 1523)) {
+    if (!iiwa_position_within(iiwa_position_biased_square(g_0_0), 930, 1523) || !iiwa_position_within(iiwa_position_biased_square(g_1_1), 932, 1523) || !iiwa_position_within(iiwa_position_biased_square(g_2_2), 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1266,7 +1274,7 @@ static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *n
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_position_within(iiwa_position_inner(x, x), 23, 1923)) {
+    if (!iiwa_position_within(iiwa_position_biased_square(iiwa_position_inner(x, x)), 23, 1923)) {
         return 0;
     }
     if (info != NULL) {

@@ -294,10 +294,18 @@ static uint32_t planar_arm_3r_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int planar_arm_3r_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t planar_arm_3r_f32_biased_square(float square)
 {
-    return planar_arm_3r_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    planar_arm_3r_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int planar_arm_3r_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -359,7 +367,7 @@ static int planar_arm_3r_f32_normal_factor(const float *B, planar_arm_3r_f32_nor
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!planar_arm_3r_f32_within(g_0_0, 87, 167) || !planar_arm_3r_f32_within(g_1_1, 87, 167)) {
+    if (!planar_arm_3r_f32_within(planar_arm_3r_f32_biased_square(g_0_0), 87, 167) || !planar_arm_3r_f32_within(planar_arm_3r_f32_biased_square(g_1_1), 87, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1102,7 +1110,7 @@ static PLANAR_ARM_3R_F32_NEAR int planar_arm_3r_f32_answer(const planar_arm_3r_f
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!planar_arm_3r_f32_within(planar_arm_3r_f32_inner(x, x), 27, 237)) {
+    if (!planar_arm_3r_f32_within(planar_arm_3r_f32_biased_square(planar_arm_3r_f32_inner(x, x)), 27, 237)) {
         return 0;
     }
     if (info != NULL) {

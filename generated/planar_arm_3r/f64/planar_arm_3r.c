@@ -328,10 +328,18 @@ static uint64_t planar_arm_3r_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int planar_arm_3r_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t planar_arm_3r_biased_square(double square)
 {
-    return planar_arm_3r_biased(x) - low <= high - low; /* unsigned: one comparison */
+    planar_arm_3r_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int planar_arm_3r_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -393,7 +401,7 @@ static int planar_arm_3r_normal_factor(const double *B, planar_arm_3r_normal *f)
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!planar_arm_3r_within(g_0_0, 523, 1523) || !planar_arm_3r_within(g_1_1, 523, 1523)) {
+    if (!planar_arm_3r_within(planar_arm_3r_biased_square(g_0_0), 523, 1523) || !planar_arm_3r_within(planar_arm_3r_biased_square(g_1_1), 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1136,7 +1144,7 @@ static PLANAR_ARM_3R_NEAR int planar_arm_3r_answer(const planar_arm_3r_normal *n
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!planar_arm_3r_within(planar_arm_3r_inner(x, x), 23, 1923)) {
+    if (!planar_arm_3r_within(planar_arm_3r_biased_square(planar_arm_3r_inner(x, x)), 23, 1923)) {
         return 0;
     }
     if (info != NULL) {

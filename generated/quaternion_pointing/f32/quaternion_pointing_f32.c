@@ -158,10 +158,18 @@ static uint32_t quaternion_pointing_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int quaternion_pointing_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t quaternion_pointing_f32_biased_square(float square)
 {
-    return quaternion_pointing_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    quaternion_pointing_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int quaternion_pointing_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -228,7 +236,7 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     float v_1_0, l_1_0, n_1_0;
     float v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     float bound;
-    if (!quaternion_pointing_f32_within(g_0_0, 87, 167) || !quaternion_pointing_f32_within(g_1_1, 87, 167) || !quaternion_pointing_f32_within(g_2_2, 87, 167)) {
+    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_0_0), 87, 167) || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_1_1), 87, 167) || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_2_2), 87, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1070,7 +1078,7 @@ static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const qua
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_inner(x, x), 27, 237)) {
+    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(quaternion_pointing_f32_inner(x, x)), 27, 237)) {
         return 0;
     }
     if (info != NULL) {

@@ -158,10 +158,18 @@ static uint64_t quaternion_pointing_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int quaternion_pointing_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t quaternion_pointing_biased_square(double square)
 {
-    return quaternion_pointing_biased(x) - low <= high - low; /* unsigned: one comparison */
+    quaternion_pointing_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int quaternion_pointing_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -228,7 +236,7 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     double v_1_0, l_1_0, n_1_0;
     double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     double bound;
-    if (!quaternion_pointing_within(g_0_0, 918, 1523) || !quaternion_pointing_within(g_1_1, 918, 1523) || !quaternion_pointing_within(g_2_2, 523, 1523)) {
+    if (!quaternion_pointing_within(quaternion_pointing_biased_square(g_0_0), 918, 1523) || !quaternion_pointing_within(quaternion_pointing_biased_square(g_1_1), 918, 1523) || !quaternion_pointing_within(quaternion_pointing_biased_square(g_2_2), 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1070,7 +1078,7 @@ static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!quaternion_pointing_within(quaternion_pointing_inner(x, x), 23, 1923)) {
+    if (!quaternion_pointing_within(quaternion_pointing_biased_square(quaternion_pointing_inner(x, x)), 23, 1923)) {
         return 0;
     }
     if (info != NULL) {

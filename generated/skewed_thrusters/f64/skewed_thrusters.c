@@ -150,18 +150,18 @@ static double skewed_thrusters_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
-static uint64_t skewed_thrusters_biased(double x)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t skewed_thrusters_biased_square(double square)
 {
     skewed_thrusters_word word;
-    word.value = x;
-    return word.bits << 1 >> 53;
+    word.value = square;
+    return word.bits >> 52;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int skewed_thrusters_within(double x, uint64_t low, uint64_t high)
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int skewed_thrusters_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return skewed_thrusters_biased(x) - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -250,7 +250,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     double bound;
-    if (!skewed_thrusters_within(g_0_0, 523, 1523) || !skewed_thrusters_within(g_1_1, 523, 1523) || !skewed_thrusters_within(g_2_2, 523, 1523) || !skewed_thrusters_within(g_3_3, 523, 1523) || !skewed_thrusters_within(g_4_4, 523, 1523) || !skewed_thrusters_within(g_5_5, 523, 1523)) {
+    if (!skewed_thrusters_within(skewed_thrusters_biased_square(g_0_0), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_1_1), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_2_2), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_3_3), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_4_4), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_5_5), 523, 1523)) {
         return -1;
     }
     d_0 = g_0_0;

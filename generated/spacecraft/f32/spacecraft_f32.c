@@ -153,10 +153,18 @@ static uint32_t spacecraft_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int spacecraft_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t spacecraft_f32_biased_square(float square)
 {
-    return spacecraft_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    spacecraft_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int spacecraft_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -260,10 +268,7 @@ static int spacecraft_f32_scale_row(const float *S, spacecraft_f32_scaled_row *r
     for (j = 0; j < 3; ++j) {
         row->s[j] = row->rank ? spacecraft_f32_shift(S[j], -row->unit) : 0.0f;
     }
-    row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 3; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
+    row->square = row->s[0] * row->s[0] + row->s[1] * row->s[1] + row->s[2] * row->s[2];
     return 1;
 }
 
@@ -277,17 +282,16 @@ static void spacecraft_f32_fill_info(const float *S, int status, int rank, float
 {
     const uint32_t magnitude = spacecraft_f32_largest(S, 3);
     const int unit = magnitude == 0 ? 0 : spacecraft_f32_exponent(magnitude);
-    float square = 0.0f;
+    float s[3];
     int j;
     for (j = 0; j < 3; ++j) {
-        const float s = spacecraft_f32_shift(S[j], -unit);
-        square += s * s;
+        s[j] = spacecraft_f32_shift(S[j], -unit);
     }
     info->status = status;
     info->path = SPACECRAFT_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = spacecraft_f32_shift(spacecraft_f32_sqrt(square), unit);
+    info->sigma_min = spacecraft_f32_shift(spacecraft_f32_sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]), unit);
     info->residual = residual;
 }
 
@@ -325,8 +329,9 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
-            rest -= row.s[j] * spacecraft_f32_shift(y[j], -unit);
+            answer[j] = spacecraft_f32_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0] + row.s[1] * answer[1] + row.s[2] * answer[2];
     }
     refine = y != NULL && spacecraft_f32_cancels(rest, target);
     if (row.rank) {
@@ -339,9 +344,11 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
         }
     }
     if (refine && row.rank) {
+        float met[3];
         for (j = 0; j < 3; ++j) {
-            target -= row.s[j] * spacecraft_f32_shift(answer[j], -unit);
+            met[j] = spacecraft_f32_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0] + row.s[1] * met[1] + row.s[2] * met[2];
         target *= 1.0f / row.square;
         for (j = 0; j < 3; ++j) {
             answer[j] += spacecraft_f32_shift(row.s[j] * target, unit);
@@ -408,9 +415,9 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (spacecraft_f32_within(square, 97, 157)) {
+    if (spacecraft_f32_within(spacecraft_f32_biased_square(square), 97, 157)) {
         if (y == NULL) {
-            if (spacecraft_f32_within(target, 67, 187)) {
+            if (spacecraft_f32_within(spacecraft_f32_biased(target), 67, 187)) {
                 const float scale = target / square;
                 const float t_0 = s_0 * scale;
                 const float t_1 = s_1 * scale;
@@ -419,7 +426,7 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
                 tau[1] = t_1;
                 tau[2] = t_2;
                 if (info != NULL) {
-                    return spacecraft_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                    return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_F32_OK;
 
@@ -428,14 +435,14 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
             const float y_0 = y[0];
             const float y_1 = y[1];
             const float y_2 = y[2];
-            const float rest = target - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
-            if (spacecraft_f32_within(rest, 67, 187)) {
+            const float rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
+            if (spacecraft_f32_within(spacecraft_f32_biased(rest), 67, 187)) {
                 const float scale = rest / square;
                 float t_0 = y_0 + s_0 * scale;
                 float t_1 = y_1 + s_1 * scale;
                 float t_2 = y_2 + s_2 * scale;
                 if (spacecraft_f32_cancels(rest, target)) {
-                    const float more = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) * (1.0f / square);
+                    const float more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * (1.0f / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
@@ -444,7 +451,7 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
                 tau[1] = t_1;
                 tau[2] = t_2;
                 if (info != NULL) {
-                    return spacecraft_f32_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                    return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_F32_OK;
 
@@ -456,12 +463,9 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
 
 static int spacecraft_f32_pinv_core(const float *S, float *S_pinv, spacecraft_f32_info *info)
 {
-    float square = S[0] * S[0];
+    const float square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    for (j = 1; j < 3; ++j) {
-        square += S[j] * S[j];
-    }
-    if (spacecraft_f32_within(square, 97, 157)) {
+    if (spacecraft_f32_within(spacecraft_f32_biased_square(square), 97, 157)) {
         if (info != NULL) {
             (void)spacecraft_f32_quick_info(square, 0.0f, info);
         }

@@ -153,10 +153,18 @@ static uint64_t spacecraft_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int spacecraft_within(double x, uint64_t low, uint64_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t spacecraft_biased_square(double square)
 {
-    return spacecraft_biased(x) - low <= high - low; /* unsigned: one comparison */
+    spacecraft_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int spacecraft_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Negative: nothing but the status is known. */
@@ -260,10 +268,7 @@ static int spacecraft_scale_row(const double *S, spacecraft_scaled_row *row)
     for (j = 0; j < 3; ++j) {
         row->s[j] = row->rank ? spacecraft_shift(S[j], -row->unit) : 0.0;
     }
-    row->square = row->s[0] * row->s[0];
-    for (j = 1; j < 3; ++j) {
-        row->square += row->s[j] * row->s[j];
-    }
+    row->square = row->s[0] * row->s[0] + row->s[1] * row->s[1] + row->s[2] * row->s[2];
     return 1;
 }
 
@@ -277,17 +282,16 @@ static void spacecraft_fill_info(const double *S, int status, int rank, double r
 {
     const uint64_t magnitude = spacecraft_largest(S, 3);
     const int unit = magnitude == 0 ? 0 : spacecraft_exponent(magnitude);
-    double square = 0.0;
+    double s[3];
     int j;
     for (j = 0; j < 3; ++j) {
-        const double s = spacecraft_shift(S[j], -unit);
-        square += s * s;
+        s[j] = spacecraft_shift(S[j], -unit);
     }
     info->status = status;
     info->path = SPACECRAFT_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = spacecraft_shift(spacecraft_sqrt(square), unit);
+    info->sigma_min = spacecraft_shift(spacecraft_sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]), unit);
     info->residual = residual;
 }
 
@@ -325,8 +329,9 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
     rest = target;
     if (y != NULL) {
         for (j = 0; j < 3; ++j) {
-            rest -= row.s[j] * spacecraft_shift(y[j], -unit);
+            answer[j] = spacecraft_shift(y[j], -unit);
         }
+        rest -= row.s[0] * answer[0] + row.s[1] * answer[1] + row.s[2] * answer[2];
     }
     refine = y != NULL && spacecraft_cancels(rest, target);
     if (row.rank) {
@@ -339,9 +344,11 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
         }
     }
     if (refine && row.rank) {
+        double met[3];
         for (j = 0; j < 3; ++j) {
-            target -= row.s[j] * spacecraft_shift(answer[j], -unit);
+            met[j] = spacecraft_shift(answer[j], -unit);
         }
+        target -= row.s[0] * met[0] + row.s[1] * met[1] + row.s[2] * met[2];
         target *= 1.0 / row.square;
         for (j = 0; j < 3; ++j) {
             answer[j] += spacecraft_shift(row.s[j] * target, unit);
@@ -408,9 +415,9 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (spacecraft_within(square, 823, 1223)) {
+    if (spacecraft_within(spacecraft_biased_square(square), 823, 1223)) {
         if (y == NULL) {
-            if (spacecraft_within(target, 323, 1723)) {
+            if (spacecraft_within(spacecraft_biased(target), 323, 1723)) {
                 const double scale = target / square;
                 const double t_0 = s_0 * scale;
                 const double t_1 = s_1 * scale;
@@ -419,7 +426,7 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
                 tau[1] = t_1;
                 tau[2] = t_2;
                 if (info != NULL) {
-                    return spacecraft_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                    return spacecraft_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_OK;
 
@@ -428,14 +435,14 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
             const double y_0 = y[0];
             const double y_1 = y[1];
             const double y_2 = y[2];
-            const double rest = target - s_0 * y_0 - s_1 * y_1 - s_2 * y_2;
-            if (spacecraft_within(rest, 323, 1723)) {
+            const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
+            if (spacecraft_within(spacecraft_biased(rest), 323, 1723)) {
                 const double scale = rest / square;
                 double t_0 = y_0 + s_0 * scale;
                 double t_1 = y_1 + s_1 * scale;
                 double t_2 = y_2 + s_2 * scale;
                 if (spacecraft_cancels(rest, target)) {
-                    const double more = (target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2) * (1.0 / square);
+                    const double more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * (1.0 / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
@@ -444,7 +451,7 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
                 tau[1] = t_1;
                 tau[2] = t_2;
                 if (info != NULL) {
-                    return spacecraft_quick_info(square, target - s_0 * t_0 - s_1 * t_1 - s_2 * t_2, info);
+                    return spacecraft_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_OK;
 
@@ -456,12 +463,9 @@ static int spacecraft_solve_core(const double *S, const double *z, const double 
 
 static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info *info)
 {
-    double square = S[0] * S[0];
+    const double square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    for (j = 1; j < 3; ++j) {
-        square += S[j] * S[j];
-    }
-    if (spacecraft_within(square, 823, 1223)) {
+    if (spacecraft_within(spacecraft_biased_square(square), 823, 1223)) {
         if (info != NULL) {
             (void)spacecraft_quick_info(square, 0.0, info);
         }

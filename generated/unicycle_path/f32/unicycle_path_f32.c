@@ -294,10 +294,18 @@ static uint32_t unicycle_path_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* Whether the biased exponent of x lies in low..high: false for zero, NaN and infinity. */
-static int unicycle_path_f32_within(float x, uint32_t low, uint32_t high)
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t unicycle_path_f32_biased_square(float square)
 {
-    return unicycle_path_f32_biased(x) - low <= high - low; /* unsigned: one comparison */
+    unicycle_path_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int unicycle_path_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
 }
 
 /* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
@@ -359,7 +367,7 @@ static int unicycle_path_f32_normal_factor(const float *B, unicycle_path_f32_nor
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!unicycle_path_f32_within(g_0_0, 87, 167) || !unicycle_path_f32_within(g_1_1, 87, 167)) {
+    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(g_0_0), 87, 167) || !unicycle_path_f32_within(unicycle_path_f32_biased_square(g_1_1), 87, 167)) {
         return -1;
     }
     d_0 = g_0_0;
@@ -1102,7 +1110,7 @@ static UNICYCLE_PATH_F32_NEAR int unicycle_path_f32_answer(const unicycle_path_f
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!unicycle_path_f32_within(unicycle_path_f32_inner(x, x), 27, 237)) {
+    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(unicycle_path_f32_inner(x, x)), 27, 237)) {
         return 0;
     }
     if (info != NULL) {

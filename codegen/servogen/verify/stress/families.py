@@ -40,7 +40,8 @@ from servogen.verify.stress.matrices import classical, integer_factors, spectra,
 from servogen.verify.stress.regressions import REGRESSIONS
 from servogen.verify.stress.truth import accuracy, decided_exactly, error, length, over
 
-SHAPES = ((1, 2), (1, 3), (2, 2), (2, 3), (3, 3), (3, 4), (3, 7), (6, 7), (6, 12), (12, 12), (3, 2), (7, 3), (4, 1))
+_WIDE = ((1, 2), (1, 3), (1, 12), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12))
+SHAPES = (*_WIDE, (2, 2), (3, 3), (12, 12), (3, 2), (7, 3), (12, 11), (4, 1))
 EVERY = tuple((m, l) for m in range(1, 13) for l in range(1, 13))
 
 
@@ -182,7 +183,8 @@ def _products(task: Task, bench: Bench, consistent: bool) -> Iterator[Figure]:
     """S = B C of small integers, below full row rank; z met exactly, or not at all."""
     generator = task.generator()
     N, m, l = task.systems, task.m, task.l
-    factors = [integer_factors(m, l, 1 + i % min(m - 1, l), generator) for i in range(N)]
+    most = _largest_condition(task, bench)
+    factors = [integer_factors(m, l, 1 + i % min(m - 1, l), most, generator) for i in range(N)]
     S = bench.round(np.array([B @ C for B, C in factors]))
     x = generator.integers(-4, 5, (N, l)).astype(np.float64)
     z = np.einsum("nij,nj->ni", S.astype(np.float64), x)
@@ -205,8 +207,9 @@ def _ddrvls(task: Task, bench: Bench) -> Iterator[Figure]:
     generator = task.generator()
     N, m, l = task.systems, task.m, task.l
     n = min(m, l)
+    most = _largest_condition(task, bench)
     top = np.finfo(bench.dtype).maxexp - 20  # S^T z of small integers stays in range
-    factors = [integer_factors(m, l, n if i % 2 else max(1, 3 * n // 4), generator) for i in range(N)]
+    factors = [integer_factors(m, l, n if i % 2 else max(1, 3 * n // 4), most, generator) for i in range(N)]
     plain = np.array([B @ C for B, C in factors])
     z = np.einsum("nij,nj->ni", plain, generator.integers(-4, 5, (N, l)).astype(np.float64))
     shift = np.array([0, top, -top])[np.arange(N) // 2 % 3]

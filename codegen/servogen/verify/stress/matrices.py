@@ -88,9 +88,10 @@ def classical(m: int, l: int, index: int, generator: Generator) -> FloatArray:
     return np.asarray(A * generator.choice([-1.0, 1.0], (m, 1)) * generator.choice([-1.0, 1.0], l))
 
 
-def integer_factors(m: int, l: int, rank: int, generator: Generator) -> tuple[FloatArray, FloatArray]:
-    """B (m, rank) and C (rank, l) of full rank, small integers."""
+def integer_factors(m: int, l: int, rank: int, most: float, generator: Generator) -> tuple[FloatArray, FloatArray]:
+    """B (m, rank) and C (rank, l) of full rank, small integers; kappa(B) kappa(C) <= most, so that no tolerance of a
+    rank lies between the singular values of B C and 0."""
     while True:
         B, C = generator.integers(-3, 4, (m, rank)), generator.integers(-3, 4, (rank, l))
-        if np.linalg.matrix_rank(B) == rank == np.linalg.matrix_rank(C):
+        if np.linalg.cond(B) * np.linalg.cond(C) <= most:
             return B.astype(np.float64), C.astype(np.float64)
