@@ -13,6 +13,8 @@ from servogen.bench.solver.plot import STYLES, draw
 from servogen.cli.main import cli
 from servogen.report.precision import render_precision
 
+pytestmark = pytest.mark.xdist_group("precision")  # one process makes the fixture
+
 
 @pytest.fixture(scope="module")
 def found(need_tool):

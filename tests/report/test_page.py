@@ -7,6 +7,8 @@ from servogen.loading import load_scene
 from servogen.report.collect import collect
 from servogen.report.page import render_page
 
+pytestmark = pytest.mark.xdist_group("page")  # one process makes the fixture
+
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):

@@ -1,7 +1,6 @@
 """The committed C of the built-in scenes: made anew, and compared byte for byte."""
 
 import sys
-import tempfile
 from pathlib import Path
 
 from servogen.compiler import build
@@ -18,13 +17,6 @@ def regenerate(folder: str | Path) -> tuple[Path, ...]:
         for scalar, short in FOLDERS.items():
             packages.append(build(load_scene(name), Path(folder) / name / short, scalar).path)
     return tuple(packages)
-
-
-def differences(committed: str | Path) -> list[str]:
-    """What regenerating would change in `committed`, one line a file; empty if it is up to date."""
-    with tempfile.TemporaryDirectory(prefix="servogen-generated-") as fresh:
-        regenerate(fresh)
-        return compare(Path(committed), Path(fresh))
 
 
 def compare(committed: Path, fresh: Path) -> list[str]:
