@@ -122,9 +122,14 @@ def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float
 
 
 def _label(m: Measurement) -> str:
-    ulps = m.errors.largest_ulps
-    error = "not finite" if m.errors.nonfinite else f"{ulps:.1f} ulp" if ulps >= 0.05 else "next to no error"
+    error = "not finite" if m.errors.nonfinite else _ulps(m.errors.largest_ulps)
     return f"{m.contender}  {_time(m.times.median)}, {error}"
+
+
+def _ulps(ulps: float) -> str:
+    if ulps < 0.05:
+        return "next to no error"
+    return f"{ulps:.1f} ulp" if ulps < 1e6 else f"{ulps:.0e} ulp"
 
 
 def _time(nanoseconds: float) -> str:
