@@ -114,8 +114,7 @@ def test_labels_of_close_markers_stand_apart() -> None:
 
 
 @pytest.mark.parametrize("name", ["double_pendulum_ideal", "unicycle_path"])
-def test_scenes_of_every_kind_have_all_their_contenders(name):
-    """Ideal forces, and a rectangular C: nobody's answer is left out."""
+def test_ideal_forces_and_a_rectangular_C_have_all_their_contenders(name):
     result = bench(load_scene(name), rounds=1, states=16, count_instructions=False)
     names = {m.contender for m in result.measurements if m.output is Output.ANSWER}
     assert names >= {"servogen f64", "servogen f32", BASELINE}

@@ -65,9 +65,18 @@ def test_from_rest_the_paper_s_phi_cannot_be_met_and_the_status_says_so():
 
 
 def test_control_at_rest_in_generated_code():
-    """Every way to be at rest: zero, minus zero, and the smallest numbers there are."""
+    """With a torque applied phi' needs tau' = B / |A|: none where A = 0, and beyond all numbers next to it."""
     code = sg.build(spacecraft).load()
-    for tiny in (0.0, -0.0, 5e-324, 1e-310, 1e-200):
-        answer = code.control(q=np.zeros(3), u=np.full(3, tiny), tau=np.zeros(3))
-        assert answer.info.status >= 0
-        assert not np.any(answer.value)  # y = 0, and B / |A| is as small as the speed
+    for speed, status in (
+        (0.0, sg.Status.RANK_DEFICIENT_INCONSISTENT),
+        (-0.0, sg.Status.RANK_DEFICIENT_INCONSISTENT),
+        (5e-324, sg.Status.OVERFLOW),
+        (1e-310, sg.Status.OVERFLOW),
+        (1e-200, sg.Status.OK),
+    ):
+        answer = code.control(q=np.zeros(3), u=np.full(3, speed), tau=np.array([0.1, -0.2, 0.3]))
+        assert answer.info.status == status
+        if status == sg.Status.OK:
+            assert 1e198 < np.max(np.abs(answer.value)) < 1e200
+        elif status == sg.Status.RANK_DEFICIENT_INCONSISTENT:
+            assert not np.any(answer.value)  # y = 0

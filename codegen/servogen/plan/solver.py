@@ -345,7 +345,8 @@ def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> Ro
     """Exponents chosen so that no product that matters underflows and no sum overflows.
 
     Squares in 2^+-a and tasks in 2^+-b: then |tau - y| <= 2^(b + a/2) is below half an ulp of the largest number, and
-    products that underflow are below half an ulp of any sum they enter.
+    products that underflow are below half an ulp of any sum they enter that matters: only a chain of ties, each 24 bits
+    above the last, can carry such a rounding up to a float32 task, by half an ulp of it.
     """
     square, task = (200, 700) if scalar == "float64" else (30, 60)
     # above these the row is neither zero nor damped

@@ -40,8 +40,8 @@ from servogen.verify.stress.matrices import classical, integer_factors, spectra,
 from servogen.verify.stress.regressions import REGRESSIONS
 from servogen.verify.stress.truth import accuracy, decided_exactly, error, length, over
 
-_WIDE = ((1, 2), (1, 3), (1, 12), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12))
-SHAPES = (*_WIDE, (2, 2), (3, 3), (12, 12), (3, 2), (7, 3), (12, 11), (4, 1))
+_SQUARE = ((2, 2), (3, 3), (12, 12))
+SHAPES = ((1, 2), (1, 3), (1, 12), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12), *_SQUARE, (3, 2), (7, 3), (12, 11), (4, 1))
 EVERY = tuple((m, l) for m in range(1, 13) for l in range(1, 13))
 
 
