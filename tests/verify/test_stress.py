@@ -67,6 +67,12 @@ def test_products_of_integers_are_never_nearly_deficient():
     assert failures(report) == set()
 
 
+def test_integers_that_a_tolerance_would_take_for_deficient_are_told():
+    assert matrices.nearly_deficient(np.array([[1000, 1001], [999, 1000]]), 1e5)  # determinant 1
+    for A in ([[1, 2], [2, 4]], [[1, 2], [3, 4]], [[1, 0], [0, 0]], [[1, 2, 3], [4, 5, 6], [7, 8, 9]]):
+        assert not matrices.nearly_deficient(np.array(A), 1e5)
+
+
 def test_certificates_and_strict_compilers(need_tool, monkeypatch):
     """What only a campaign runs, on one shape."""
     need_tool("gcc", "gcc")

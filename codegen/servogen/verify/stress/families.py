@@ -36,7 +36,7 @@ from servogen.verify.stress.bars import (
 )
 from servogen.verify.stress.bench import Bench, MakeTwin, Task, answers
 from servogen.verify.stress.compilers import complaints
-from servogen.verify.stress.matrices import classical, integer_factors, spectra, with_spectra
+from servogen.verify.stress.matrices import classical, integer_factors, nearly_deficient, spectra, with_spectra
 from servogen.verify.stress.regressions import REGRESSIONS
 from servogen.verify.stress.truth import accuracy, decided_exactly, error, length, over
 
@@ -247,10 +247,14 @@ def _degenerate_rows(task: Task, bench: Bench) -> Iterator[Figure]:
     """One row zero, or a copy, or a multiple of another; the others at units of their own."""
     generator = task.generator()
     N, m, l = task.systems, task.m, task.l
+    most = _largest_condition(task, bench)
     entries = generator.integers(-9, 10, (N, m, l))
     for i in range(N):
         row, other = generator.choice(m, 2, replace=False)
         entries[i, row] = (0, 1, -4)[i % 3] * entries[i, other]
+        while nearly_deficient(entries[i], most):
+            entries[i] = generator.integers(-9, 10, (m, l))
+            entries[i, row] = (0, 1, -4)[i % 3] * entries[i, other]
     S = bench.round(np.ldexp(entries.astype(np.float64), generator.integers(-3, 4, (N, m))[:, :, None]))
     z = np.einsum("nij,nj->ni", S.astype(np.float64), generator.integers(-4, 5, (N, l)).astype(np.float64))
     z = bench.round(z)

@@ -1,9 +1,11 @@
 """Matrices to solve: the spectra of LAPACK's dlatms, and those with names in the literature (NUMERICS: Families)."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from servogen.results import FloatArray
 
@@ -95,3 +97,11 @@ def integer_factors(m: int, l: int, rank: int, most: float, generator: Generator
         B, C = generator.integers(-3, 4, (m, rank)), generator.integers(-3, 4, (rank, l))
         if np.linalg.cond(B) * np.linalg.cond(C) <= most:
             return B.astype(np.float64), C.astype(np.float64)
+
+
+def nearly_deficient(A: NDArray[Any], most: float) -> bool:
+    """Whether a singular value of integer rows, brought to length 1, is neither 0 nor above 1 / most of the largest."""
+    lengths = np.linalg.norm(A, axis=1, keepdims=True)
+    sigma = np.linalg.svd(A / np.where(lengths > 0, lengths, 1), compute_uv=False)
+    zero = 1e-14 * max(A.shape)  # what numpy makes of one
+    return bool(np.any((sigma > zero * sigma[0]) & (sigma < sigma[0] / most)))
