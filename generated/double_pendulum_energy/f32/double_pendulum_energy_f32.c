@@ -401,16 +401,12 @@ static void double_pendulum_energy_f32_fill_info(const float *S, int status, int
 {
     const uint32_t magnitude = double_pendulum_energy_f32_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_f32_exponent(magnitude);
-    float s[2];
-    int j;
-    for (j = 0; j < 2; ++j) {
-        s[j] = double_pendulum_energy_f32_shift(S[j], -unit);
-    }
+    const float square = double_pendulum_energy_f32_shift(S[0], -unit) * double_pendulum_energy_f32_shift(S[0], -unit) + double_pendulum_energy_f32_shift(S[1], -unit) * double_pendulum_energy_f32_shift(S[1], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_energy_f32_shift(double_pendulum_energy_f32_sqrt(s[0] * s[0] + s[1] * s[1]), unit);
+    info->sigma_min = double_pendulum_energy_f32_shift(double_pendulum_energy_f32_sqrt(square), unit);
     info->residual = residual;
 }
 
@@ -447,10 +443,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_scal
     target = double_pendulum_energy_f32_shift(z[0], -unit - row.unit);
     rest = target;
     if (y != NULL) {
-        for (j = 0; j < 2; ++j) {
-            answer[j] = double_pendulum_energy_f32_shift(y[j], -unit);
-        }
-        rest -= row.s[0] * answer[0] + row.s[1] * answer[1];
+        rest -= row.s[0] * double_pendulum_energy_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_f32_shift(y[1], -unit);
     }
     refine = y != NULL && double_pendulum_energy_f32_cancels(rest, target);
     if (row.rank) {
@@ -463,11 +456,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_scal
         }
     }
     if (refine && row.rank) {
-        float met[2];
-        for (j = 0; j < 2; ++j) {
-            met[j] = double_pendulum_energy_f32_shift(answer[j], -unit);
-        }
-        target -= row.s[0] * met[0] + row.s[1] * met[1];
+        target -= row.s[0] * double_pendulum_energy_f32_shift(answer[0], -unit) + row.s[1] * double_pendulum_energy_f32_shift(answer[1], -unit);
         target *= 1.0f / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_f32_shift(row.s[j] * target, unit);

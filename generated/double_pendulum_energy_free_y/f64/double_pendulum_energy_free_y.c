@@ -461,16 +461,12 @@ static void double_pendulum_energy_free_y_fill_info(const double *S, int status,
 {
     const uint64_t magnitude = double_pendulum_energy_free_y_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_free_y_exponent(magnitude);
-    double s[2];
-    int j;
-    for (j = 0; j < 2; ++j) {
-        s[j] = double_pendulum_energy_free_y_shift(S[j], -unit);
-    }
+    const double square = double_pendulum_energy_free_y_shift(S[0], -unit) * double_pendulum_energy_free_y_shift(S[0], -unit) + double_pendulum_energy_free_y_shift(S[1], -unit) * double_pendulum_energy_free_y_shift(S[1], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_energy_free_y_shift(double_pendulum_energy_free_y_sqrt(s[0] * s[0] + s[1] * s[1]), unit);
+    info->sigma_min = double_pendulum_energy_free_y_shift(double_pendulum_energy_free_y_sqrt(square), unit);
     info->residual = residual;
 }
 
@@ -507,10 +503,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
     target = double_pendulum_energy_free_y_shift(z[0], -unit - row.unit);
     rest = target;
     if (y != NULL) {
-        for (j = 0; j < 2; ++j) {
-            answer[j] = double_pendulum_energy_free_y_shift(y[j], -unit);
-        }
-        rest -= row.s[0] * answer[0] + row.s[1] * answer[1];
+        rest -= row.s[0] * double_pendulum_energy_free_y_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(y[1], -unit);
     }
     refine = y != NULL && double_pendulum_energy_free_y_cancels(rest, target);
     if (row.rank) {
@@ -523,11 +516,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
         }
     }
     if (refine && row.rank) {
-        double met[2];
-        for (j = 0; j < 2; ++j) {
-            met[j] = double_pendulum_energy_free_y_shift(answer[j], -unit);
-        }
-        target -= row.s[0] * met[0] + row.s[1] * met[1];
+        target -= row.s[0] * double_pendulum_energy_free_y_shift(answer[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(answer[1], -unit);
         target *= 1.0 / row.square;
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_free_y_shift(row.s[j] * target, unit);

@@ -1237,16 +1237,12 @@ static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int sta
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_f32_reaction_exponent(magnitude);
-    float s[1];
-    int j;
-    for (j = 0; j < 1; ++j) {
-        s[j] = double_pendulum_ideal_f32_reaction_shift(S[j], -unit);
-    }
+    const float square = double_pendulum_ideal_f32_reaction_shift(S[0], -unit) * double_pendulum_ideal_f32_reaction_shift(S[0], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(s[0] * s[0]), unit);
+    info->sigma_min = double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(square), unit);
     info->residual = residual;
 }
 
@@ -1283,10 +1279,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     target = double_pendulum_ideal_f32_reaction_shift(z[0], -unit - row.unit);
     rest = target;
     if (y != NULL) {
-        for (j = 0; j < 1; ++j) {
-            answer[j] = double_pendulum_ideal_f32_reaction_shift(y[j], -unit);
-        }
-        rest -= row.s[0] * answer[0];
+        rest -= row.s[0] * double_pendulum_ideal_f32_reaction_shift(y[0], -unit);
     }
     refine = y != NULL && double_pendulum_ideal_f32_reaction_cancels(rest, target);
     if (row.rank) {
@@ -1299,11 +1292,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
         }
     }
     if (refine && row.rank) {
-        float met[1];
-        for (j = 0; j < 1; ++j) {
-            met[j] = double_pendulum_ideal_f32_reaction_shift(answer[j], -unit);
-        }
-        target -= row.s[0] * met[0];
+        target -= row.s[0] * double_pendulum_ideal_f32_reaction_shift(answer[0], -unit);
         target *= 1.0f / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_f32_reaction_shift(row.s[j] * target, unit);

@@ -1271,16 +1271,12 @@ static void double_pendulum_ideal_reaction_fill_info(const double *S, int status
 {
     const uint64_t magnitude = double_pendulum_ideal_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_reaction_exponent(magnitude);
-    double s[1];
-    int j;
-    for (j = 0; j < 1; ++j) {
-        s[j] = double_pendulum_ideal_reaction_shift(S[j], -unit);
-    }
+    const double square = double_pendulum_ideal_reaction_shift(S[0], -unit) * double_pendulum_ideal_reaction_shift(S[0], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(s[0] * s[0]), unit);
+    info->sigma_min = double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(square), unit);
     info->residual = residual;
 }
 
@@ -1317,10 +1313,7 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     target = double_pendulum_ideal_reaction_shift(z[0], -unit - row.unit);
     rest = target;
     if (y != NULL) {
-        for (j = 0; j < 1; ++j) {
-            answer[j] = double_pendulum_ideal_reaction_shift(y[j], -unit);
-        }
-        rest -= row.s[0] * answer[0];
+        rest -= row.s[0] * double_pendulum_ideal_reaction_shift(y[0], -unit);
     }
     refine = y != NULL && double_pendulum_ideal_reaction_cancels(rest, target);
     if (row.rank) {
@@ -1333,11 +1326,7 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
         }
     }
     if (refine && row.rank) {
-        double met[1];
-        for (j = 0; j < 1; ++j) {
-            met[j] = double_pendulum_ideal_reaction_shift(answer[j], -unit);
-        }
-        target -= row.s[0] * met[0];
+        target -= row.s[0] * double_pendulum_ideal_reaction_shift(answer[0], -unit);
         target *= 1.0 / row.square;
         for (j = 0; j < 1; ++j) {
             answer[j] += double_pendulum_ideal_reaction_shift(row.s[j] * target, unit);

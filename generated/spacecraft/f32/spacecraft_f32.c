@@ -282,16 +282,12 @@ static void spacecraft_f32_fill_info(const float *S, int status, int rank, float
 {
     const uint32_t magnitude = spacecraft_f32_largest(S, 3);
     const int unit = magnitude == 0 ? 0 : spacecraft_f32_exponent(magnitude);
-    float s[3];
-    int j;
-    for (j = 0; j < 3; ++j) {
-        s[j] = spacecraft_f32_shift(S[j], -unit);
-    }
+    const float square = spacecraft_f32_shift(S[0], -unit) * spacecraft_f32_shift(S[0], -unit) + spacecraft_f32_shift(S[1], -unit) * spacecraft_f32_shift(S[1], -unit) + spacecraft_f32_shift(S[2], -unit) * spacecraft_f32_shift(S[2], -unit);
     info->status = status;
     info->path = SPACECRAFT_F32_PATH_CLOSED_FORM;
     info->rank = rank;
     info->sweeps = 0;
-    info->sigma_min = spacecraft_f32_shift(spacecraft_f32_sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]), unit);
+    info->sigma_min = spacecraft_f32_shift(spacecraft_f32_sqrt(square), unit);
     info->residual = residual;
 }
 
@@ -328,10 +324,7 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
     target = spacecraft_f32_shift(z[0], -unit - row.unit);
     rest = target;
     if (y != NULL) {
-        for (j = 0; j < 3; ++j) {
-            answer[j] = spacecraft_f32_shift(y[j], -unit);
-        }
-        rest -= row.s[0] * answer[0] + row.s[1] * answer[1] + row.s[2] * answer[2];
+        rest -= row.s[0] * spacecraft_f32_shift(y[0], -unit) + row.s[1] * spacecraft_f32_shift(y[1], -unit) + row.s[2] * spacecraft_f32_shift(y[2], -unit);
     }
     refine = y != NULL && spacecraft_f32_cancels(rest, target);
     if (row.rank) {
@@ -344,11 +337,7 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
         }
     }
     if (refine && row.rank) {
-        float met[3];
-        for (j = 0; j < 3; ++j) {
-            met[j] = spacecraft_f32_shift(answer[j], -unit);
-        }
-        target -= row.s[0] * met[0] + row.s[1] * met[1] + row.s[2] * met[2];
+        target -= row.s[0] * spacecraft_f32_shift(answer[0], -unit) + row.s[1] * spacecraft_f32_shift(answer[1], -unit) + row.s[2] * spacecraft_f32_shift(answer[2], -unit);
         target *= 1.0f / row.square;
         for (j = 0; j < 3; ++j) {
             answer[j] += spacecraft_f32_shift(row.s[j] * target, unit);
