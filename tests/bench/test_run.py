@@ -113,8 +113,9 @@ def test_labels_of_close_markers_stand_apart() -> None:
     assert _spread([(0.1, 0.2), (0.9, 0.8)]) == [0.2, 0.8]  # nothing moves that need not
 
 
-@pytest.mark.parametrize("name", ["double_pendulum_ideal", "unicycle_path"])
-def test_ideal_forces_and_a_rectangular_C_have_all_their_contenders(name):
+@pytest.mark.parametrize("name", ["double_pendulum_ideal", "skewed_thrusters", "unicycle_path", "quaternion_pointing"])
+def test_scenes_of_every_kind_have_all_their_contenders(name):
+    """Ideal forces, constant G, rectangular C, a holonomic pair: nobody's answer is left out."""
     result = bench(load_scene(name), rounds=1, states=16, count_instructions=False)
     names = {m.contender for m in result.measurements if m.output is Output.ANSWER}
     assert names >= {"servogen f64", "servogen f32", BASELINE}

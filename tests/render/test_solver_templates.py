@@ -27,7 +27,7 @@ SOLVERS = {
     "svd": Solver(method="svd"),
 }
 
-SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (6, 7)]
+SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (12, 12)]
 
 
 def render(m, l, scalar, solver):
