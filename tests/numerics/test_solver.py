@@ -59,6 +59,52 @@ def test_tau_and_pinv_against_rationals(shape, scalar):
         assert shape[0] > shape[1] or residual <= 1.5 * bound
 
 
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("l", [2, 3, 4, 12])
+def test_a_row_is_met_where_it_takes_all_of_y_away(l, scalar):
+    """y along s and a small z: the residual was 18 to 369 u (|s| |tau| + |z|) with one refinement."""
+    u = EPSILON[scalar]
+    generator = np.random.default_rng(11)
+    for reach in range(0, 70, 2):
+        s = generator.standard_normal(l).astype(scalar) if reach % 4 else np.full(l, 1.7, scalar)
+        y = (s * generator.standard_normal()).astype(scalar)
+        z = np.array([generator.standard_normal() * 2.0**-reach], scalar)
+        for target in (z, np.zeros(1, scalar)):
+            tau, _ = twin(1, l, scalar).solve(s[None], target, y)
+            row, wanted = exact.rational(s[None]), exact.rational(target)
+            right = exact.solution(row, exact.pinv_full(row), wanted, exact.rational(y))
+            size = np.linalg.norm(exact.nearest(right)) + np.linalg.norm(y)
+            assert np.linalg.norm(exact.difference(tau, right)) <= 4 * u * size
+            residual = np.linalg.norm(exact.nearest(wanted - row * exact.rational(tau)))
+            assert residual <= 1.5 * u * (np.linalg.norm(s) * np.linalg.norm(tau) + abs(target[0]))
+            # as it is, and through the scaled path
+            k = 130 if scalar == "float64" else 20
+            scaled, _ = twin(1, l, scalar).solve(np.ldexp(s[None], k), np.ldexp(target, k), y)
+            assert (scaled == tau).all()
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (6, 6), (3, 1), (3, 2), (7, 3)])
+@pytest.mark.parametrize("smallest", [1.0, 1e-3, 0.0])
+def test_y_counts_only_where_tau_is_free(shape, scalar, smallest):
+    """At full column rank tau = S+ z whatever y: S y taken from z, and y added again, only cost digits."""
+    generator = np.random.default_rng(12)
+    sigma = np.linspace(1.0, smallest, shape[1]) if shape[1] > 1 else np.ones(1)
+    S = with_spectra(*shape, np.array([sigma] * 5), generator).astype(scalar)
+    for s in S if smallest else []:
+        z = generator.standard_normal(shape[0]).astype(scalar)
+        for target in (z, np.ldexp(z, -60), np.zeros_like(z)):
+            without, _ = twin(*shape, scalar).solve(s, target)
+            for reach in (1.0, 1e6, 1e30, float(np.finfo(scalar).max)):
+                y = (generator.uniform(-1.0, 1.0, shape[1]) * reach).astype(scalar)
+                tau, info = twin(*shape, scalar).solve(s, target, y)
+                assert info.status >= 0 and (tau == without).all()
+    if not smallest and shape[1] > 1:
+        y = generator.standard_normal(shape[1]).astype(scalar)
+        tau, info = twin(*shape, scalar).solve(S[0], np.zeros(shape[0], scalar), y)
+        assert info.rank == shape[1] - 1 and np.linalg.norm(tau) > 0.01 * np.linalg.norm(y)
+
+
 @pytest.mark.parametrize("kappa", [1e6, 1e12, 5e13])
 def test_tall_and_ill_conditioned_is_as_good_as_wide(kappa):
     """The first step of the QR must not trust that its pivots are orthogonal: errors of 1e9 u kappa, until mended."""

@@ -376,8 +376,10 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     what the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
     """
     m, l, n = plan.m, plan.l, plan.count
+    with_y = int(l > m)  # else tau is determined without
     if plan.kind == "row":
-        return {"closed_form": _sum((1, _dot(l)), (1, _total(add=l, mul=l)), (1, _total(div=1)), (1, _total(l, l)))}
+        rest = _total(add=l, mul=l)
+        return {"closed_form": _sum((1, _dot(l)), (with_y, rest), (1, _total(div=1)), (1, _total(with_y * l, l)))}
     residual = _total(add=m * l, mul=m * l)
     if plan.kind == "column":  # applied twice: the second is the refinement
         apply = _sum((1, _dot(m)), (1, _total(div=2)), (1, _total(add=1, mul=1)))
@@ -390,13 +392,13 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     bound = _sum((cubic, _total(add=1, mul=1)), (triangle, _total(add=1, mul=2)), (n, _total(add=1, mul=1)))
     substitute = _sum((2 * triangle, _total(add=1, mul=1)), (n, _total(mul=1)))
     normal = _sum((1, gram), (1, factor), (1, bound), (2, substitute), (2 * n, _total(long, long)), (1, residual))
-    normal = _sum((1, normal), (1, residual), (1, _total(add=2 * long, mul=long)))
+    normal = _sum((1, normal), (with_y, residual), (1, _total(add=(1 + with_y) * long, mul=long)))
     project = _sum((1, _dot(long)), (1, _total(mul=1)), (1, _total(long, long)), (1, _dot(long)))
     cross = _sum((triangle, _dot(long)))
     qr = _sum((n, _dot(long)), (triangle, project), (n, _total(div=1)), (int(plan.wide), cross))
     apply = _sum((triangle, _total(add=1, mul=1)), (n, _total(mul=1)), (n, _total(long, long)))
     careful = _sum((triangle, _total(add=1, mul=1))) if plan.wide else _sum((n, _total(long, long)))
-    certified = _sum((1, qr), (1, bound), (2, apply), (1, careful), (2, residual), (1, _total(add=2 * long)))
+    certified = _sum((1, qr), (1, bound), (2, apply), (1, careful), (1 + with_y, residual), (1, _total(add=(1 + with_y) * long)))
     if n == 2:
         svd = _total(add=9, mul=10, div=10, sqrt=5)
     else:

@@ -108,7 +108,7 @@ int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_mo
 int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.
-   Cost: 58 operations (30 mul, 11 add, 10 sub, 3 cos, 3 sin, 1 div), and the solver: 71 operations (normal equations), at most 371 (SVD, at most 5 sweeps).
+   Cost: 58 operations (30 mul, 11 add, 10 sub, 3 cos, 3 sin, 1 div), and the solver: 61 operations (normal equations), at most 351 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info);
 

@@ -442,16 +442,37 @@ static int double_pendulum_energy_free_y_f32_cancels(float rest, float target)
     return double_pendulum_energy_free_y_f32_biased(rest) > double_pendulum_energy_free_y_f32_biased(target);
 }
 
+/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+static int double_pendulum_energy_free_y_f32_exhausted(float square, float tau_square, float rest, float target)
+{
+    const float noise = rest * 1.9073486e-6f;
+    return double_pendulum_energy_free_y_f32_biased(noise) >= double_pendulum_energy_free_y_f32_biased(target) && !(square * tau_square > noise * noise);
+}
+
+/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
+static float double_pendulum_energy_free_y_f32_refine_row(const double_pendulum_energy_free_y_f32_scaled_row *row, float target, int unit, float *answer)
+{
+    const float rest = target - (row->s[0] * double_pendulum_energy_free_y_f32_shift(answer[0], -unit) + row->s[1] * double_pendulum_energy_free_y_f32_shift(answer[1], -unit));
+    const float scale = rest * (1.0f / row->square);
+    int j;
+    for (j = 0; j < 2; ++j) {
+        answer[j] += double_pendulum_energy_free_y_f32_shift(row->s[j] * scale, unit);
+    }
+    return scale;
+}
+
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     double_pendulum_energy_free_y_f32_scaled_row row;
     float answer[2];
     float residual = 0.0f;
-    float rest, target;
+    float rest, target, scale;
+    float t_0, t_1;
+    int refine;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-    int own, refine, j;
+    int own, j;
     if (!double_pendulum_energy_free_y_f32_scale_row(S, &row) || double_pendulum_energy_free_y_f32_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
         (y != NULL && double_pendulum_energy_free_y_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
         return double_pendulum_energy_free_y_f32_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE, info);
@@ -472,20 +493,26 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
         rest -= row.s[0] * double_pendulum_energy_free_y_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_f32_shift(y[1], -unit);
     }
     refine = y != NULL && double_pendulum_energy_free_y_f32_cancels(rest, target);
-    if (row.rank) {
-        rest = double_pendulum_energy_free_y_f32_over_square(&row, rest);
-    }
+    scale = row.rank ? double_pendulum_energy_free_y_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 2; ++j) {
-        answer[j] = double_pendulum_energy_free_y_f32_shift(row.s[j] * rest, unit);
+        answer[j] = double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
     if (refine && row.rank) {
-        target -= row.s[0] * double_pendulum_energy_free_y_f32_shift(answer[0], -unit) + row.s[1] * double_pendulum_energy_free_y_f32_shift(answer[1], -unit);
-        target *= 1.0f / row.square;
-        for (j = 0; j < 2; ++j) {
-            answer[j] += double_pendulum_energy_free_y_f32_shift(row.s[j] * target, unit);
+        (void)double_pendulum_energy_free_y_f32_refine_row(&row, target, unit, answer);
+        t_0 = double_pendulum_energy_free_y_f32_shift(answer[0], -unit);
+        t_1 = double_pendulum_energy_free_y_f32_shift(answer[1], -unit);
+        if (double_pendulum_energy_free_y_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+            const float more = double_pendulum_energy_free_y_f32_refine_row(&row, target, unit, answer);
+            if (double_pendulum_energy_free_y_f32_magnitude(double_pendulum_energy_free_y_f32_shift(4.0f * more, unit)) > double_pendulum_energy_free_y_f32_largest(answer, 2)) {
+                /* rounding errors twice over: nothing of y is left */
+                scale = double_pendulum_energy_free_y_f32_shift(z[0], -own) / row.square;
+                for (j = 0; j < 2; ++j) {
+                    answer[j] = double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, own - row.unit);
+                }
+            }
         }
     }
     if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {
@@ -560,7 +587,6 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
                     return double_pendulum_energy_free_y_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-
             }
         } else {
             const float y_0 = y[0];
@@ -574,6 +600,9 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
                     const float more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0f / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
+                    if (double_pendulum_energy_free_y_f32_exhausted(square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+                        return double_pendulum_energy_free_y_f32_solve_scaled(S, z, y, tau, info);
+                    }
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
@@ -581,7 +610,6 @@ static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const fl
                     return double_pendulum_energy_free_y_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
-
             }
         }
     }

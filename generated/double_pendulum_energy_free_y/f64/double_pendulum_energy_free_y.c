@@ -476,16 +476,37 @@ static int double_pendulum_energy_free_y_cancels(double rest, double target)
     return double_pendulum_energy_free_y_biased(rest) > double_pendulum_energy_free_y_biased(target);
 }
 
+/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+static int double_pendulum_energy_free_y_exhausted(double square, double tau_square, double rest, double target)
+{
+    const double noise = rest * 3.552713678800501e-15;
+    return double_pendulum_energy_free_y_biased(noise) >= double_pendulum_energy_free_y_biased(target) && !(square * tau_square > noise * noise);
+}
+
+/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
+static double double_pendulum_energy_free_y_refine_row(const double_pendulum_energy_free_y_scaled_row *row, double target, int unit, double *answer)
+{
+    const double rest = target - (row->s[0] * double_pendulum_energy_free_y_shift(answer[0], -unit) + row->s[1] * double_pendulum_energy_free_y_shift(answer[1], -unit));
+    const double scale = rest * (1.0 / row->square);
+    int j;
+    for (j = 0; j < 2; ++j) {
+        answer[j] += double_pendulum_energy_free_y_shift(row->s[j] * scale, unit);
+    }
+    return scale;
+}
+
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
 {
     double_pendulum_energy_free_y_scaled_row row;
     double answer[2];
     double residual = 0.0;
-    double rest, target;
+    double rest, target, scale;
+    double t_0, t_1;
+    int refine;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-    int own, refine, j;
+    int own, j;
     if (!double_pendulum_energy_free_y_scale_row(S, &row) || double_pendulum_energy_free_y_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
         (y != NULL && double_pendulum_energy_free_y_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
         return double_pendulum_energy_free_y_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE, info);
@@ -506,20 +527,26 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
         rest -= row.s[0] * double_pendulum_energy_free_y_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(y[1], -unit);
     }
     refine = y != NULL && double_pendulum_energy_free_y_cancels(rest, target);
-    if (row.rank) {
-        rest = double_pendulum_energy_free_y_over_square(&row, rest);
-    }
+    scale = row.rank ? double_pendulum_energy_free_y_over_square(&row, rest) : 0.0;
     for (j = 0; j < 2; ++j) {
-        answer[j] = double_pendulum_energy_free_y_shift(row.s[j] * rest, unit);
+        answer[j] = double_pendulum_energy_free_y_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
     if (refine && row.rank) {
-        target -= row.s[0] * double_pendulum_energy_free_y_shift(answer[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(answer[1], -unit);
-        target *= 1.0 / row.square;
-        for (j = 0; j < 2; ++j) {
-            answer[j] += double_pendulum_energy_free_y_shift(row.s[j] * target, unit);
+        (void)double_pendulum_energy_free_y_refine_row(&row, target, unit, answer);
+        t_0 = double_pendulum_energy_free_y_shift(answer[0], -unit);
+        t_1 = double_pendulum_energy_free_y_shift(answer[1], -unit);
+        if (double_pendulum_energy_free_y_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+            const double more = double_pendulum_energy_free_y_refine_row(&row, target, unit, answer);
+            if (double_pendulum_energy_free_y_magnitude(double_pendulum_energy_free_y_shift(4.0 * more, unit)) > double_pendulum_energy_free_y_largest(answer, 2)) {
+                /* rounding errors twice over: nothing of y is left */
+                scale = double_pendulum_energy_free_y_shift(z[0], -own) / row.square;
+                for (j = 0; j < 2; ++j) {
+                    answer[j] = double_pendulum_energy_free_y_shift(row.s[j] * scale, own - row.unit);
+                }
+            }
         }
     }
     if (double_pendulum_energy_free_y_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {
@@ -594,7 +621,6 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
                     return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-
             }
         } else {
             const double y_0 = y[0];
@@ -608,6 +634,9 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
                     const double more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0 / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
+                    if (double_pendulum_energy_free_y_exhausted(square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+                        return double_pendulum_energy_free_y_solve_scaled(S, z, y, tau, info);
+                    }
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
@@ -615,7 +644,6 @@ static int double_pendulum_energy_free_y_solve_core(const double *S, const doubl
                     return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
                 }
                 return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-
             }
         }
     }

@@ -1246,25 +1246,22 @@ static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int sta
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
-static int double_pendulum_ideal_f32_reaction_cancels(float rest, float target)
-{
-    return double_pendulum_ideal_f32_reaction_biased(rest) > double_pendulum_ideal_f32_reaction_biased(target);
-}
-
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     double_pendulum_ideal_f32_reaction_scaled_row row;
     float answer[1];
     float residual = 0.0f;
-    float rest, target;
+    float rest, target, scale;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_IDEAL_F32_OK;
-    int own, refine, j;
+    int own, j;
     if (!double_pendulum_ideal_f32_reaction_scale_row(S, &row) || double_pendulum_ideal_f32_reaction_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
         (y != NULL && double_pendulum_ideal_f32_reaction_largest(y, 1) >= UINT32_C(0x7f800000))) {
         return double_pendulum_ideal_f32_reaction_refuse(DOUBLE_PENDULUM_IDEAL_F32_NONFINITE, info);
+    }
+    if (row.rank) {
+        y = NULL; /* the one answer, whatever y */
     }
     if (y != NULL) {
         unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_largest(y, 1));
@@ -1281,21 +1278,11 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_ideal_f32_reaction_shift(y[0], -unit);
     }
-    refine = y != NULL && double_pendulum_ideal_f32_reaction_cancels(rest, target);
-    if (row.rank) {
-        rest = double_pendulum_ideal_f32_reaction_over_square(&row, rest);
-    }
+    scale = row.rank ? double_pendulum_ideal_f32_reaction_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 1; ++j) {
-        answer[j] = double_pendulum_ideal_f32_reaction_shift(row.s[j] * rest, unit);
+        answer[j] = double_pendulum_ideal_f32_reaction_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
-        }
-    }
-    if (refine && row.rank) {
-        target -= row.s[0] * double_pendulum_ideal_f32_reaction_shift(answer[0], -unit);
-        target *= 1.0f / row.square;
-        for (j = 0; j < 1; ++j) {
-            answer[j] += double_pendulum_ideal_f32_reaction_shift(row.s[j] * target, unit);
         }
     }
     if (double_pendulum_ideal_f32_reaction_largest(answer, 1) >= UINT32_C(0x7f800000)) {
@@ -1334,7 +1321,7 @@ static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const f
     const float square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased_square(square), 97, 157)) {
-        if (y == NULL) {
+        if (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000)) {
             if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(target), 67, 187)) {
                 const float scale = target / square;
                 const float t_0 = s_0 * scale;
@@ -1343,24 +1330,6 @@ static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const f
                     return double_pendulum_ideal_f32_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_F32_OK;
-
-            }
-        } else {
-            const float y_0 = y[0];
-            const float rest = target - (s_0 * y_0);
-            if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(rest), 67, 187)) {
-                const float scale = rest / square;
-                float t_0 = y_0 + s_0 * scale;
-                if (double_pendulum_ideal_f32_reaction_cancels(rest, target)) {
-                    const float more = (target - (s_0 * t_0)) * (1.0f / square);
-                    t_0 += s_0 * more;
-                }
-                tau[0] = t_0;
-                if (info != NULL) {
-                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - (s_0 * t_0), info);
-                }
-                return DOUBLE_PENDULUM_IDEAL_F32_OK;
-
             }
         }
     }

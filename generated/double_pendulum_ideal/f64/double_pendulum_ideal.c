@@ -1280,25 +1280,22 @@ static void double_pendulum_ideal_reaction_fill_info(const double *S, int status
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
-static int double_pendulum_ideal_reaction_cancels(double rest, double target)
-{
-    return double_pendulum_ideal_reaction_biased(rest) > double_pendulum_ideal_reaction_biased(target);
-}
-
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     double_pendulum_ideal_reaction_scaled_row row;
     double answer[1];
     double residual = 0.0;
-    double rest, target;
+    double rest, target, scale;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_IDEAL_OK;
-    int own, refine, j;
+    int own, j;
     if (!double_pendulum_ideal_reaction_scale_row(S, &row) || double_pendulum_ideal_reaction_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
         (y != NULL && double_pendulum_ideal_reaction_largest(y, 1) >= UINT64_C(0x7ff0000000000000))) {
         return double_pendulum_ideal_reaction_refuse(DOUBLE_PENDULUM_IDEAL_NONFINITE, info);
+    }
+    if (row.rank) {
+        y = NULL; /* the one answer, whatever y */
     }
     if (y != NULL) {
         unit = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_largest(y, 1));
@@ -1315,21 +1312,11 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_ideal_reaction_shift(y[0], -unit);
     }
-    refine = y != NULL && double_pendulum_ideal_reaction_cancels(rest, target);
-    if (row.rank) {
-        rest = double_pendulum_ideal_reaction_over_square(&row, rest);
-    }
+    scale = row.rank ? double_pendulum_ideal_reaction_over_square(&row, rest) : 0.0;
     for (j = 0; j < 1; ++j) {
-        answer[j] = double_pendulum_ideal_reaction_shift(row.s[j] * rest, unit);
+        answer[j] = double_pendulum_ideal_reaction_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
-        }
-    }
-    if (refine && row.rank) {
-        target -= row.s[0] * double_pendulum_ideal_reaction_shift(answer[0], -unit);
-        target *= 1.0 / row.square;
-        for (j = 0; j < 1; ++j) {
-            answer[j] += double_pendulum_ideal_reaction_shift(row.s[j] * target, unit);
         }
     }
     if (double_pendulum_ideal_reaction_largest(answer, 1) >= UINT64_C(0x7ff0000000000000)) {
@@ -1368,7 +1355,7 @@ static int double_pendulum_ideal_reaction_solve_core(const double *S, const doub
     const double square = s_0 * s_0;
     /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased_square(square), 823, 1223)) {
-        if (y == NULL) {
+        if (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000)) {
             if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(target), 323, 1723)) {
                 const double scale = target / square;
                 const double t_0 = s_0 * scale;
@@ -1377,24 +1364,6 @@ static int double_pendulum_ideal_reaction_solve_core(const double *S, const doub
                     return double_pendulum_ideal_reaction_quick_info(square, target - (s_0 * t_0), info);
                 }
                 return DOUBLE_PENDULUM_IDEAL_OK;
-
-            }
-        } else {
-            const double y_0 = y[0];
-            const double rest = target - (s_0 * y_0);
-            if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(rest), 323, 1723)) {
-                const double scale = rest / square;
-                double t_0 = y_0 + s_0 * scale;
-                if (double_pendulum_ideal_reaction_cancels(rest, target)) {
-                    const double more = (target - (s_0 * t_0)) * (1.0 / square);
-                    t_0 += s_0 * more;
-                }
-                tau[0] = t_0;
-                if (info != NULL) {
-                    return double_pendulum_ideal_reaction_quick_info(square, target - (s_0 * t_0), info);
-                }
-                return DOUBLE_PENDULUM_IDEAL_OK;
-
             }
         }
     }

@@ -104,7 +104,7 @@ int quaternion_pointing_S_z(const quaternion_pointing_model *model, const quater
 int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointing_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.
-   Cost: 63 operations (40 mul, 12 sub, 11 add), and the solver: 172 operations (normal equations), at most 2307 (SVD, at most 7 sweeps).
+   Cost: 63 operations (40 mul, 12 sub, 11 add), and the solver: 151 operations (normal equations), at most 2265 (SVD, at most 7 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info);
 

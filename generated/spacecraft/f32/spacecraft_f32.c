@@ -297,16 +297,37 @@ static int spacecraft_f32_cancels(float rest, float target)
     return spacecraft_f32_biased(rest) > spacecraft_f32_biased(target);
 }
 
+/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+static int spacecraft_f32_exhausted(float square, float tau_square, float rest, float target)
+{
+    const float noise = rest * 1.9073486e-6f;
+    return spacecraft_f32_biased(noise) >= spacecraft_f32_biased(target) && !(square * tau_square > noise * noise);
+}
+
+/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
+static float spacecraft_f32_refine_row(const spacecraft_f32_scaled_row *row, float target, int unit, float *answer)
+{
+    const float rest = target - (row->s[0] * spacecraft_f32_shift(answer[0], -unit) + row->s[1] * spacecraft_f32_shift(answer[1], -unit) + row->s[2] * spacecraft_f32_shift(answer[2], -unit));
+    const float scale = rest * (1.0f / row->square);
+    int j;
+    for (j = 0; j < 3; ++j) {
+        answer[j] += spacecraft_f32_shift(row->s[j] * scale, unit);
+    }
+    return scale;
+}
+
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, spacecraft_f32_info *info)
 {
     spacecraft_f32_scaled_row row;
     float answer[3];
     float residual = 0.0f;
-    float rest, target;
+    float rest, target, scale;
+    float t_0, t_1, t_2;
+    int refine;
     int unit = -16384;
     int status = SPACECRAFT_F32_OK;
-    int own, refine, j;
+    int own, j;
     if (!spacecraft_f32_scale_row(S, &row) || spacecraft_f32_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
         (y != NULL && spacecraft_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
         return spacecraft_f32_refuse(SPACECRAFT_F32_NONFINITE, info);
@@ -327,20 +348,27 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
         rest -= row.s[0] * spacecraft_f32_shift(y[0], -unit) + row.s[1] * spacecraft_f32_shift(y[1], -unit) + row.s[2] * spacecraft_f32_shift(y[2], -unit);
     }
     refine = y != NULL && spacecraft_f32_cancels(rest, target);
-    if (row.rank) {
-        rest = spacecraft_f32_over_square(&row, rest);
-    }
+    scale = row.rank ? spacecraft_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 3; ++j) {
-        answer[j] = spacecraft_f32_shift(row.s[j] * rest, unit);
+        answer[j] = spacecraft_f32_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
     if (refine && row.rank) {
-        target -= row.s[0] * spacecraft_f32_shift(answer[0], -unit) + row.s[1] * spacecraft_f32_shift(answer[1], -unit) + row.s[2] * spacecraft_f32_shift(answer[2], -unit);
-        target *= 1.0f / row.square;
-        for (j = 0; j < 3; ++j) {
-            answer[j] += spacecraft_f32_shift(row.s[j] * target, unit);
+        (void)spacecraft_f32_refine_row(&row, target, unit, answer);
+        t_0 = spacecraft_f32_shift(answer[0], -unit);
+        t_1 = spacecraft_f32_shift(answer[1], -unit);
+        t_2 = spacecraft_f32_shift(answer[2], -unit);
+        if (spacecraft_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+            const float more = spacecraft_f32_refine_row(&row, target, unit, answer);
+            if (spacecraft_f32_magnitude(spacecraft_f32_shift(4.0f * more, unit)) > spacecraft_f32_largest(answer, 3)) {
+                /* rounding errors twice over: nothing of y is left */
+                scale = spacecraft_f32_shift(z[0], -own) / row.square;
+                for (j = 0; j < 3; ++j) {
+                    answer[j] = spacecraft_f32_shift(row.s[j] * scale, own - row.unit);
+                }
+            }
         }
     }
     if (spacecraft_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {
@@ -418,7 +446,6 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
                     return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_F32_OK;
-
             }
         } else {
             const float y_0 = y[0];
@@ -435,6 +462,9 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
+                    if (spacecraft_f32_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+                        return spacecraft_f32_solve_scaled(S, z, y, tau, info);
+                    }
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
@@ -443,7 +473,6 @@ static int spacecraft_f32_solve_core(const float *S, const float *z, const float
                     return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_F32_OK;
-
             }
         }
     }

@@ -297,16 +297,37 @@ static int spacecraft_smooth_cancels(double rest, double target)
     return spacecraft_smooth_biased(rest) > spacecraft_smooth_biased(target);
 }
 
+/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+static int spacecraft_smooth_exhausted(double square, double tau_square, double rest, double target)
+{
+    const double noise = rest * 3.552713678800501e-15;
+    return spacecraft_smooth_biased(noise) >= spacecraft_smooth_biased(target) && !(square * tau_square > noise * noise);
+}
+
+/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
+static double spacecraft_smooth_refine_row(const spacecraft_smooth_scaled_row *row, double target, int unit, double *answer)
+{
+    const double rest = target - (row->s[0] * spacecraft_smooth_shift(answer[0], -unit) + row->s[1] * spacecraft_smooth_shift(answer[1], -unit) + row->s[2] * spacecraft_smooth_shift(answer[2], -unit));
+    const double scale = rest * (1.0 / row->square);
+    int j;
+    for (j = 0; j < 3; ++j) {
+        answer[j] += spacecraft_smooth_shift(row->s[j] * scale, unit);
+    }
+    return scale;
+}
+
 /* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
 static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_solve_scaled(const double *S, const double *z, const double *y, double *tau, spacecraft_smooth_info *info)
 {
     spacecraft_smooth_scaled_row row;
     double answer[3];
     double residual = 0.0;
-    double rest, target;
+    double rest, target, scale;
+    double t_0, t_1, t_2;
+    int refine;
     int unit = -16384;
     int status = SPACECRAFT_SMOOTH_OK;
-    int own, refine, j;
+    int own, j;
     if (!spacecraft_smooth_scale_row(S, &row) || spacecraft_smooth_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
         (y != NULL && spacecraft_smooth_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
         return spacecraft_smooth_refuse(SPACECRAFT_SMOOTH_NONFINITE, info);
@@ -327,20 +348,27 @@ static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_solve_scaled(const double *S
         rest -= row.s[0] * spacecraft_smooth_shift(y[0], -unit) + row.s[1] * spacecraft_smooth_shift(y[1], -unit) + row.s[2] * spacecraft_smooth_shift(y[2], -unit);
     }
     refine = y != NULL && spacecraft_smooth_cancels(rest, target);
-    if (row.rank) {
-        rest = spacecraft_smooth_over_square(&row, rest);
-    }
+    scale = row.rank ? spacecraft_smooth_over_square(&row, rest) : 0.0;
     for (j = 0; j < 3; ++j) {
-        answer[j] = spacecraft_smooth_shift(row.s[j] * rest, unit);
+        answer[j] = spacecraft_smooth_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
     if (refine && row.rank) {
-        target -= row.s[0] * spacecraft_smooth_shift(answer[0], -unit) + row.s[1] * spacecraft_smooth_shift(answer[1], -unit) + row.s[2] * spacecraft_smooth_shift(answer[2], -unit);
-        target *= 1.0 / row.square;
-        for (j = 0; j < 3; ++j) {
-            answer[j] += spacecraft_smooth_shift(row.s[j] * target, unit);
+        (void)spacecraft_smooth_refine_row(&row, target, unit, answer);
+        t_0 = spacecraft_smooth_shift(answer[0], -unit);
+        t_1 = spacecraft_smooth_shift(answer[1], -unit);
+        t_2 = spacecraft_smooth_shift(answer[2], -unit);
+        if (spacecraft_smooth_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+            const double more = spacecraft_smooth_refine_row(&row, target, unit, answer);
+            if (spacecraft_smooth_magnitude(spacecraft_smooth_shift(4.0 * more, unit)) > spacecraft_smooth_largest(answer, 3)) {
+                /* rounding errors twice over: nothing of y is left */
+                scale = spacecraft_smooth_shift(z[0], -own) / row.square;
+                for (j = 0; j < 3; ++j) {
+                    answer[j] = spacecraft_smooth_shift(row.s[j] * scale, own - row.unit);
+                }
+            }
         }
     }
     if (spacecraft_smooth_largest(answer, 3) >= UINT64_C(0x7ff0000000000000)) {
@@ -418,7 +446,6 @@ static int spacecraft_smooth_solve_core(const double *S, const double *z, const 
                     return spacecraft_smooth_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_SMOOTH_OK;
-
             }
         } else {
             const double y_0 = y[0];
@@ -435,6 +462,9 @@ static int spacecraft_smooth_solve_core(const double *S, const double *z, const 
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
+                    if (spacecraft_smooth_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+                        return spacecraft_smooth_solve_scaled(S, z, y, tau, info);
+                    }
                 }
                 tau[0] = t_0;
                 tau[1] = t_1;
@@ -443,7 +473,6 @@ static int spacecraft_smooth_solve_core(const double *S, const double *z, const 
                     return spacecraft_smooth_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
                 }
                 return SPACECRAFT_SMOOTH_OK;
-
             }
         }
     }

@@ -106,7 +106,7 @@ int unicycle_path_S_z(const unicycle_path_model *model, const unicycle_path_inpu
 int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.
-   Cost: 68 operations (34 mul, 19 add, 11 sub, 1 cos, 1 div, 1 sin, 1 sqrt), and the solver: 71 operations (normal equations), at most 371 (SVD, at most 5 sweeps).
+   Cost: 68 operations (34 mul, 19 add, 11 sub, 1 cos, 1 div, 1 sin, 1 sqrt), and the solver: 61 operations (normal equations), at most 351 (SVD, at most 5 sweeps).
    Returns a status as above: zero or positive with tau written, negative with it untouched. */
 int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info);
 
