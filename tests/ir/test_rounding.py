@@ -104,6 +104,23 @@ def test_exact_things_have_no_error() -> None:
     assert np.all(rounding_bounds(program, {"x": [[0.3], [-7.0]]}, "float32")["o"] == 0)
 
 
+def test_powers_of_two_are_exact_but_among_subnormals() -> None:
+    instrs = (
+        Instr("input", (), ("x", 0)),
+        Instr("const", (), Fraction(-1, 4)),
+        Instr("const", (), Fraction(3, 4)),
+        Instr("mul", (0, 1)),
+        Instr("div", (0, 1)),
+        Instr("add", (0, 0)),
+        Instr("mul", (0, 2)),
+        Instr("div", (1, 0)),
+    )
+    program = Program("f", (Input("x", 1),), instrs, (Output("o", 5, 1, (3, 4, 5, 6, 7)),))
+    bounds = rounding_bounds(program, {"x": [[0.3]]}, "float32")["o"][0]
+    assert np.all(bounds[:3] <= float(np.finfo("float32").smallest_subnormal))
+    assert np.all(bounds[3:] >= 1e-9)
+
+
 def test_constants_are_rounded_to_the_scalar() -> None:
     program = Program("f", (), (Instr("const", (), Fraction(1, 10)),), (Output("o", 1, 1, (0,)),))
     for scalar, dtype in (("float64", np.float64), ("float32", np.float32)):

@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 import servogen as sg
@@ -15,7 +16,7 @@ from servogen.compiler import compile_scene, optimised_scene, target_for
 from servogen.derive.lower import parameter_defaults
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
-from servogen.ir.program import Input, Program, check_legal
+from servogen.ir.program import Input, Output, Program, check_legal
 from servogen.ir.rounding import entry_bounds
 from servogen.loading import builtin_names, load_scene
 from servogen.optimise.accuracy import TOLERATED, Accuracy, mix
@@ -107,23 +108,28 @@ def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
         assert np.all(after <= TOLERATED * before * (1 + 1e-9))
 
 
-@pytest.mark.parametrize("name", ["double_pendulum_energy", "spacecraft_smooth", "planar_arm_3r", "unicycle_path"])
+@pytest.mark.parametrize(
+    "name",
+    ["double_pendulum_energy", "spacecraft_smooth", "planar_arm_3r_weighted", "quaternion_pointing", "unicycle_path"],
+)
 def test_measured_errors_do_not_rise(name: str) -> None:
-    """Float64 against 50 digits at states that no pass has seen: at most 1.5 times the unoptimised program's error."""
+    """Float64 against 50 digits at states that no pass has seen: at most 1.5 times the unoptimised program's error.
+
+    Entries of S grew by 1.6 (quaternion) and 1.9 (weighted arm) while a product with 1/2 counted as rounded.
+    """
     scene = load_scene(name)
     done = optimised_scene(scene)[1]
     states = draw_states(scene, 400, seed=11) | parameter_defaults(scene)
     truth = list(evaluate_exactly(done.exact, states))
     before, after = evaluate(done.exact, states), evaluate(done.program, states)
+
+    def worst(values: dict[str, Any], output: Output) -> float:
+        exact = np.array([list(point[output.name]) for point in truth], dtype=object)
+        with mpmath.workdps(50):
+            return float(np.max(np.abs(exact - values[output.name].reshape(-1, output.size)), initial=0.0))
+
     for output in done.program.outputs:
-        exact = np.array([[float(v) for v in point[output.name]] for point in truth])
-        scale = np.max(np.abs(exact))
-
-        def worst(values: dict[str, Any], exact: Any = exact, label: str = output.name) -> float:
-            return float(np.max(np.abs(values[label].reshape(-1, exact.shape[1]) - exact), initial=0.0))
-
-        # half an ulp of the scale is what rounding the truth itself costs here
-        assert worst(after) <= 1.5 * worst(before) + 2.0**-53 * scale, output.name
+        assert worst(after, output) <= 1.5 * worst(before, output), output.name
 
 
 TARGETS = {"double_pendulum_energy": 20, "spacecraft": 27, "spacecraft_smooth": 27}

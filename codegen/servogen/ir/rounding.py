@@ -15,7 +15,7 @@ from servogen.ir.adjoint import Partials, adjoints, partials, times
 from servogen.ir.evaluate import node_values
 from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
-from servogen.ir.program import Program
+from servogen.ir.program import Instr, Program
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 
@@ -60,9 +60,23 @@ def local_errors(program: Program, values: Sequence[FloatArray], scalar: Scalar)
             op = OPS.get(instr.op)
             if isinstance(instr.const, Fraction):
                 local.append(_constant_error(instr.const, scalar))
+            elif op is None or not op.rounding:
+                local.append(0.0)
             else:
-                local.append(op.rounding * (epsilon * np.abs(value) + smallest) if op and op.rounding else 0.0)
+                local.append(op.rounding * ((0.0 if _is_exact(program, instr) else epsilon) * np.abs(value) + smallest))
     return local
+
+
+def _is_exact(program: Program, instr: Instr) -> bool:
+    """Whether it only changes an exponent: x + x, 2^k x, x / 2^k; such results are exact but among subnormals."""
+    if instr.op == "add":
+        return instr.args[0] == instr.args[1]
+    factors = {"mul": instr.args, "div": instr.args[1:]}.get(instr.op, ())
+    return any(isinstance(c := program.instrs[k].const, Fraction) and _is_power_of_two(abs(c)) for k in factors)
+
+
+def _is_power_of_two(value: Fraction) -> bool:
+    return value > 0 and all(n & (n - 1) == 0 for n in (value.numerator, value.denominator))
 
 
 def _bounds(

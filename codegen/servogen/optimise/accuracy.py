@@ -1,4 +1,4 @@
-"""The accuracy guard: no rewrite may raise an output's rounding error beyond TOLERATED times the unoptimised one's.
+"""The accuracy guard: no rewrite may raise an output's error bound beyond TOLERATED times the unoptimised one's.
 
 Errors are first-order rounding bounds at many states, not measured differences: they are the same on every machine,
 whatever the last bits of its maths library.
@@ -14,8 +14,12 @@ from servogen.ir.program import Output, Program
 from servogen.ir.rounding import Entry, entry_bounds
 from servogen.results import FloatArray
 
-TOLERATED = 1.5
-"""The largest ratio of an output's error bound to that of the unoptimised program."""
+TOLERATED = 1.24
+"""The largest ratio of an output's error bound to that of the unoptimised program.
+
+Measured errors scatter about their bounds: with a fifth rounding after four the largest error was seen to grow by 1.6,
+and 1.5 is what may be measured.
+"""
 
 STATES = 24
 

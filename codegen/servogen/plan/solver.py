@@ -398,7 +398,9 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     qr = _sum((n, _dot(long)), (triangle, project), (n, _total(div=1)), (int(plan.wide), cross))
     apply = _sum((triangle, _total(add=1, mul=1)), (n, _total(mul=1)), (n, _total(long, long)))
     careful = _sum((triangle, _total(add=1, mul=1))) if plan.wide else _sum((n, _total(long, long)))
-    certified = _sum((1, qr), (1, bound), (2, apply), (1, careful), (1 + with_y, residual), (1, _total(add=(1 + with_y) * long)))
+    certified = _sum(
+        (1, qr), (1, bound), (2, apply), (1, careful), (1 + with_y, residual), (1, _total(add=(1 + with_y) * long))
+    )
     if n == 2:
         svd = _total(add=9, mul=10, div=10, sqrt=5)
     else:
