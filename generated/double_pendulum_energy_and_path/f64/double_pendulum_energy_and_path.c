@@ -744,7 +744,7 @@ static void double_pendulum_energy_and_path_scale(const double *S, const int *ex
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             double_pendulum_energy_and_path_spread(row, double_pendulum_energy_and_path_power(-exponent[i]), B + 2 * i);
         } else {
             double shifted[2];

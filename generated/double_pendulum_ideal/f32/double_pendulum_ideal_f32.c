@@ -677,7 +677,7 @@ static void double_pendulum_ideal_f32_scale(const float *S, const int *exponent,
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 2 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             double_pendulum_ideal_f32_spread(row, double_pendulum_ideal_f32_power(-exponent[i]), B + 2 * i);
         } else {
             float shifted[2];

@@ -711,7 +711,7 @@ static void double_pendulum_ideal_scale(const double *S, const int *exponent, do
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             double_pendulum_ideal_spread(row, double_pendulum_ideal_power(-exponent[i]), B + 2 * i);
         } else {
             double shifted[2];

@@ -937,7 +937,7 @@ static void iiwa_pose_f32_scale(const float *S, const int *exponent, float *B)
     int i, j;
     for (i = 0; i < 6; ++i) {
         const float *const row = S + 7 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             iiwa_pose_f32_spread(row, iiwa_pose_f32_power(-exponent[i]), B + 8 * i);
         } else {
             float shifted[7];

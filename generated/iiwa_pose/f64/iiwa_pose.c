@@ -971,7 +971,7 @@ static void iiwa_pose_scale(const double *S, const int *exponent, double *B)
     int i, j;
     for (i = 0; i < 6; ++i) {
         const double *const row = S + 7 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             iiwa_pose_spread(row, iiwa_pose_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[7];

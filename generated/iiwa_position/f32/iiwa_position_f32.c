@@ -805,7 +805,7 @@ static void iiwa_position_f32_scale(const float *S, const int *exponent, float *
     int i, j;
     for (i = 0; i < 3; ++i) {
         const float *const row = S + 7 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             iiwa_position_f32_spread(row, iiwa_position_f32_power(-exponent[i]), B + 8 * i);
         } else {
             float shifted[7];

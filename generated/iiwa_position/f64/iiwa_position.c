@@ -839,7 +839,7 @@ static void iiwa_position_scale(const double *S, const int *exponent, double *B)
     int i, j;
     for (i = 0; i < 3; ++i) {
         const double *const row = S + 7 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             iiwa_position_spread(row, iiwa_position_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[7];

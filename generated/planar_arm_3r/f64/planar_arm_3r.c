@@ -720,7 +720,7 @@ static void planar_arm_3r_scale(const double *S, const int *exponent, double *B)
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 3 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             planar_arm_3r_spread(row, planar_arm_3r_power(-exponent[i]), B + 3 * i);
         } else {
             double shifted[3];

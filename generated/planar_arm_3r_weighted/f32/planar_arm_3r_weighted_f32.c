@@ -686,7 +686,7 @@ static void planar_arm_3r_weighted_f32_scale(const float *S, const int *exponent
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 3 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             planar_arm_3r_weighted_f32_spread(row, planar_arm_3r_weighted_f32_power(-exponent[i]), B + 3 * i);
         } else {
             float shifted[3];

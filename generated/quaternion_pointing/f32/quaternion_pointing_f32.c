@@ -646,7 +646,7 @@ static void quaternion_pointing_f32_scale(const float *S, const int *exponent, f
     int i, j;
     for (i = 0; i < 3; ++i) {
         const float *const row = S + 3 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             quaternion_pointing_f32_spread(row, quaternion_pointing_f32_power(-exponent[i]), B + 3 * i);
         } else {
             float shifted[3];

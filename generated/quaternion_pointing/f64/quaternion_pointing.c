@@ -646,7 +646,7 @@ static void quaternion_pointing_scale(const double *S, const int *exponent, doub
     int i, j;
     for (i = 0; i < 3; ++i) {
         const double *const row = S + 3 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             quaternion_pointing_spread(row, quaternion_pointing_power(-exponent[i]), B + 3 * i);
         } else {
             double shifted[3];

@@ -761,7 +761,7 @@ static void skewed_thrusters_f32_scale(const float *S, const int *exponent, floa
     int i, j;
     for (i = 0; i < 6; ++i) {
         const float *const row = S + 8 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -127 && exponent[i] <= 126) {
             skewed_thrusters_f32_spread(row, skewed_thrusters_f32_power(-exponent[i]), B + 8 * i);
         } else {
             float shifted[8];

@@ -761,7 +761,7 @@ static void skewed_thrusters_scale(const double *S, const int *exponent, double 
     int i, j;
     for (i = 0; i < 6; ++i) {
         const double *const row = S + 8 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             skewed_thrusters_spread(row, skewed_thrusters_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[8];

@@ -720,7 +720,7 @@ static void unicycle_path_scale(const double *S, const int *exponent, double *B)
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] != -16384 && exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
             unicycle_path_spread(row, unicycle_path_power(-exponent[i]), B + 2 * i);
         } else {
             double shifted[2];
