@@ -28,14 +28,14 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.xdist_group("generated")  # one process makes the fixture
+@pytest.mark.xdist_group("all scenes")  # one process optimises them, and makes the fixture
 def test_generated_is_up_to_date(fresh: Path) -> None:
     """Another process, on another day, made the same bytes."""
     changes = compare(committed_folder(), fresh)
     assert not changes, "generated/ is stale; run ./dev generate:\n" + "\n".join(changes)
 
 
-@pytest.mark.xdist_group("generated")
+@pytest.mark.xdist_group("all scenes")
 def test_the_comparison_can_fail(fresh: Path, tmp_path: Path) -> None:
     """A changed byte, a file too many, one too few and another line end are each told."""
     changed = tmp_path / "changed"

@@ -99,6 +99,7 @@ def test_a_less_accurate_form_is_refused_and_said() -> None:
     assert optimise(mix(good, bad, [("o", 0)])) == good
 
 
+@pytest.mark.xdist_group("all scenes")  # one process optimises them
 def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
     for name in builtin_names():
         scene = load_scene(name)

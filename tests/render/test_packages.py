@@ -17,7 +17,7 @@ from support.c import STRICT, compiler, run
 from support.missing import skip_or_fail
 from support.models import awkward_scenes
 
-pytestmark = pytest.mark.xdist_group("packages")  # one process makes the fixture
+pytestmark = pytest.mark.xdist_group("all scenes")  # one process optimises them, and makes the fixture
 
 SCALARS = ("float64", "float32")
 

@@ -37,6 +37,7 @@ def agree(results):
             assert not other.problem
 
 
+@pytest.mark.xdist_group("all scenes")  # one process optimises them
 @pytest.mark.parametrize(("scalar", "board"), [("float32", "cortex-m4"), ("float64", "cortex-m7")])
 def test_every_scene(scalar, board, need_target, tmp_path):
     """Each scalar where the core has it in hardware; singular states and refusals are among them."""
