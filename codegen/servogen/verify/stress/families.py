@@ -99,6 +99,17 @@ def _spectra(task: Task, bench: Bench) -> Iterator[Figure]:
     yield figure(RANK, info["rank"] != n)
 
 
+def _taken_away(task: Task, bench: Bench) -> Iterator[Figure]:
+    """y among the rows, z small or zero: next to nothing is left of y."""
+    generator = task.generator()
+    N, m, l = task.systems, task.m, task.l
+    S = bench.round(with_spectra(m, l, spectra(N, m, 1e3, generator), generator))
+    y = bench.round(np.einsum("nij,ni->nj", S.astype(np.float64), generator.standard_normal((N, m))))
+    z = bench.round(generator.standard_normal((N, m)) * 2.0 ** -generator.uniform(0, 60, (N, 1)))
+    z[::4] = 0.0
+    yield from accuracy(bench, S, z, y, [exact.pinv_full(exact.rational(s)) for s in S])
+
+
 def _classical(task: Task, bench: Bench) -> Iterator[Figure]:
     """Those worse than 0.1 / (max(m, l) u) are left out."""
     generator = task.generator()
@@ -458,6 +469,7 @@ FAMILIES: dict[str, Family] = {
     "dlatms spectra, forced SVD": Family(_spectra, _is_wide, SVD),
     "dlatms spectra, raw rank": Family(_spectra, _is_wide, RAW),
     "dlatms spectra, tall": Family(_spectra, lambda m, l: m > l),
+    "y taken away": Family(_taken_away, lambda m, l: m in (1, l)),
     "named matrices": Family(_classical, lambda m, l: 1 < m <= l),
     "graded rows": Family(_graded, lambda m, l: 1 < m <= l),
     "scaled by powers of two": Family(_scaled, part=2500),
