@@ -50,6 +50,23 @@ def test_a_constant_matrix_is_inverted_at_generation(scalar: str, y: Any) -> Non
     assert manifest["entry_points"]["control"]["solver_operations"]["apply"]["div"] == 0
 
 
+@pytest.mark.parametrize("scalar", ["float64", "float32"])
+def test_no_y_reaches_a_square_system_of_full_rank(scalar: str) -> None:
+    """y = 1e16 cost the answer all digits, and 1e308 the answer."""
+    scene = linear([[3, 1], [1, 2]], [[1, 0.5], [0.25, 1]], y="input")
+    code, textbook = (
+        make(scene, scalar=scalar) for make in (lambda s, scalar: sg.build(s, scalar=scalar).load(), sg.reference)
+    )  # type: ignore[arg-type]
+    for twin in (code, textbook):
+        twin.prepare()
+        state = {n: v[0] for n, v in draw_states(scene, 1).items()}
+        plain = twin.control(**(state | {"y": np.zeros(2)}))
+        for size in (1e8, 1e30, float(np.finfo(scalar).max)):
+            answer = twin.control(**(state | {"y": np.array([size, -size])}))
+            assert answer.info == plain.info
+            assert np.array_equal(answer.value, plain.value)
+
+
 def test_rank_deficiency_of_a_constant_matrix_is_still_told() -> None:
     duplicate = [[1, 0, 0], [1, 0, 0]]
     with pytest.warns(UserWarning, match="never be independent"):

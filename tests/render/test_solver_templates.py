@@ -65,6 +65,14 @@ def test_strict_flags(shape, scalar, compiler, tmp_path, need_tool):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("solver", [Solver(damping=1e35), Solver(atol=1e35)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2)])
+def test_strict_flags_where_no_row_is_in_range(shape, solver, tmp_path, need_tool):
+    need_tool("gcc", "gcc")
+    done = compile_text(render(*shape, "float32", solver), "gcc", tmp_path, "-O2")
+    assert done.returncode == 0, done.stderr
+
+
 def test_strict_flags_can_fail(tmp_path, need_tool):
     need_tool("gcc", "gcc")
     text = render(2, 3, "float32", Solver()) + "static int unused(void) { return 0; }\n"

@@ -93,14 +93,16 @@ BITS: dict[str, Bits] = {
 class RowRange:
     """Where the unscaled closed form of a row is safe, and gives the same bits as the scaled one.
 
-    Biased exponents, both ends included: of s s^T and of z - s y. Outside (and at NaN, infinity, zero, atol and
-    damping, which all fall outside) the scaled form takes over.
+    Biased exponents, both ends included: of s s^T, of z - s y, and of tau tau^T where tau is refined. Outside (and
+    at NaN, infinity, zero, atol and damping, which all fall outside) the scaled form takes over.
     """
 
     square_low: int
     square_high: int
     task_low: int
     task_high: int
+    tau_low: int
+    tau_high: int
 
 
 @dataclass(frozen=True)
@@ -347,14 +349,15 @@ def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> Ro
     Squares in 2^+-a and tasks in 2^+-b: then |tau - y| <= 2^(b + a/2) is below half an ulp of the largest number, and
     products that underflow are below half an ulp of any sum they enter that matters: only a chain of ties, each 24 bits
     above the last, can carry such a rounding up to a float32 task, by half an ulp of it.
+    Where tau is refined, squares of tau in 2^+-c, times s s^T, neither overflow nor become subnormal.
     """
-    square, task = (200, 700) if scalar == "float64" else (30, 60)
+    square, task, tau = (200, 700, 800) if scalar == "float64" else (30, 60, 90)
     # above these the row is neither zero nor damped
     low = max(-square, _square_above(math.sqrt(l) * atol), _square_above(damping or 0.0))
     if low >= square:
         return None
     bias = BITS[scalar].bias
-    return RowRange(low + bias, square + bias, -task + bias, task + bias)
+    return RowRange(low + bias, square + bias, -task + bias, task + bias, -tau + bias, tau + bias)
 
 
 def _total(add: int = 0, mul: int = 0, div: int = 0, sqrt: int = 0) -> Operations:
@@ -376,7 +379,7 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     what the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
     """
     m, l, n = plan.m, plan.l, plan.count
-    with_y = int(l > m)  # else tau is determined without
+    with_y = int(l != m)  # at full rank of a square S tau is determined without
     if plan.kind == "row":
         rest = _total(add=l, mul=l)
         return {"closed_form": _sum((1, _dot(l)), (with_y, rest), (1, _total(div=1)), (1, _total(with_y * l, l)))}

@@ -31,6 +31,8 @@ def solve(
         return untouched, _failed(Status.NONFINITE)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         left, sigma, right, row_unit, damped = _factors(S, plan)
+        if len(sigma) == plan.l and not damped:
+            y = np.zeros(plan.l)  # the one answer, whatever y
         tau = y + right @ ((left.T @ (z / row_unit - (S / row_unit[:, None]) @ y)) * _filter(sigma, damped, plan))
         if not _representable(tau, plan):
             return untouched, _failed(Status.OVERFLOW)

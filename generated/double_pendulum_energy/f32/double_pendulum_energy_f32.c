@@ -416,7 +416,7 @@ static int double_pendulum_energy_f32_cancels(float rest, float target)
     return double_pendulum_energy_f32_biased(rest) > double_pendulum_energy_f32_biased(target);
 }
 
-/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
 static int double_pendulum_energy_f32_exhausted(float square, float tau_square, float rest, float target)
 {
     const float noise = rest * 1.9073486e-6f;
@@ -574,7 +574,9 @@ static int double_pendulum_energy_f32_solve_core(const float *S, const float *z,
                     const float more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0f / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
-                    if (double_pendulum_energy_f32_exhausted(square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+                    const float tau_square = t_0 * t_0 + t_1 * t_1;
+                    if (!double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased_square(tau_square), 37, 217) ||
+                        double_pendulum_energy_f32_exhausted(square, tau_square, rest, target)) {
                         return double_pendulum_energy_f32_solve_scaled(S, z, y, tau, info);
                     }
                 }

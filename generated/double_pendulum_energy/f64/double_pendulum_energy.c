@@ -450,7 +450,7 @@ static int double_pendulum_energy_cancels(double rest, double target)
     return double_pendulum_energy_biased(rest) > double_pendulum_energy_biased(target);
 }
 
-/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
 static int double_pendulum_energy_exhausted(double square, double tau_square, double rest, double target)
 {
     const double noise = rest * 3.552713678800501e-15;
@@ -608,7 +608,9 @@ static int double_pendulum_energy_solve_core(const double *S, const double *z, c
                     const double more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0 / square);
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
-                    if (double_pendulum_energy_exhausted(square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+                    const double tau_square = t_0 * t_0 + t_1 * t_1;
+                    if (!double_pendulum_energy_within(double_pendulum_energy_biased_square(tau_square), 223, 1823) ||
+                        double_pendulum_energy_exhausted(square, tau_square, rest, target)) {
                         return double_pendulum_energy_solve_scaled(S, z, y, tau, info);
                     }
                 }

@@ -1019,7 +1019,6 @@ static void double_pendulum_energy_and_path_f32_apply(const double_pendulum_ener
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info, int from)
 {
     double_pendulum_energy_and_path_f32_factors f;
-    const float *start = NULL; /* y where S leaves tau a freedom: not at full rank */
     float zs[2], ys[2], r[2], x[2], answer[2];
     float residual = 0.0f;
     int unit = -16384;
@@ -1031,12 +1030,12 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
     if (status < 0) {
         return double_pendulum_energy_and_path_f32_refuse(status, info);
     }
-    if (f.rank < 2) {
-        start = y;
+    if (f.rank == 2) {
+        y = NULL; /* the one answer, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
-    if (start != NULL) {
-        unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(start, 2));
+    if (y != NULL) {
+        unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(y, 2));
     }
     for (i = 0; i < 2; ++i) {
         const int own = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_magnitude(z[i]));
@@ -1051,14 +1050,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
         zs[i] = f.exponent[i] == -16384 ? 0.0f : double_pendulum_energy_and_path_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
-        ys[j] = start == NULL ? 0.0f : double_pendulum_energy_and_path_f32_shift(start[j], -unit);
+        ys[j] = y == NULL ? 0.0f : double_pendulum_energy_and_path_f32_shift(y[j], -unit);
     }
     double_pendulum_energy_and_path_f32_residual(f.B, zs, ys, r);
     double_pendulum_energy_and_path_f32_apply(&f, r, x, 0);
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_and_path_f32_shift(x[j], unit);
-        if (start != NULL) {
-            answer[j] = start[j] + answer[j];
+        if (y != NULL) {
+            answer[j] = y[j] + answer[j];
         }
         ys[j] = double_pendulum_energy_and_path_f32_shift(answer[j], -unit);
     }
@@ -1124,8 +1123,23 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR int double_pendulum_energy_and_p
     if (y != NULL && double_pendulum_energy_and_path_f32_largest(y, 2) >= UINT32_C(0x7f800000)) {
         return 0;
     }
-    double_pendulum_energy_and_path_f32_correct(normal, qr, B, z, x, 0); /* the one answer, whatever y */
-    double_pendulum_energy_and_path_f32_residual(B, z, x, r); /* refined once */
+    y = NULL; /* the one answer, whatever y */
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        double_pendulum_energy_and_path_f32_spread(y, 1.0f, step);
+        double_pendulum_energy_and_path_f32_residual(B, z, step, r);
+    }
+    double_pendulum_energy_and_path_f32_correct(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = step[j] + x[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    double_pendulum_energy_and_path_f32_residual(B, z, x, r);
     double_pendulum_energy_and_path_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];

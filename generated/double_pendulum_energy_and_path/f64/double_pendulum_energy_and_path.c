@@ -1053,7 +1053,6 @@ static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_a
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int from)
 {
     double_pendulum_energy_and_path_factors f;
-    const double *start = NULL; /* y where S leaves tau a freedom: not at full rank */
     double zs[2], ys[2], r[2], x[2], answer[2];
     double residual = 0.0;
     int unit = -16384;
@@ -1065,12 +1064,12 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(status, info);
     }
-    if (f.rank < 2) {
-        start = y;
+    if (f.rank == 2) {
+        y = NULL; /* the one answer, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
-    if (start != NULL) {
-        unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(start, 2));
+    if (y != NULL) {
+        unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(y, 2));
     }
     for (i = 0; i < 2; ++i) {
         const int own = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_magnitude(z[i]));
@@ -1085,14 +1084,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         zs[i] = f.exponent[i] == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
-        ys[j] = start == NULL ? 0.0 : double_pendulum_energy_and_path_shift(start[j], -unit);
+        ys[j] = y == NULL ? 0.0 : double_pendulum_energy_and_path_shift(y[j], -unit);
     }
     double_pendulum_energy_and_path_residual(f.B, zs, ys, r);
     double_pendulum_energy_and_path_apply(&f, r, x, 0);
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_and_path_shift(x[j], unit);
-        if (start != NULL) {
-            answer[j] = start[j] + answer[j];
+        if (y != NULL) {
+            answer[j] = y[j] + answer[j];
         }
         ys[j] = double_pendulum_energy_and_path_shift(answer[j], -unit);
     }
@@ -1158,8 +1157,23 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
     if (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000)) {
         return 0;
     }
-    double_pendulum_energy_and_path_correct(normal, qr, B, z, x, 0); /* the one answer, whatever y */
-    double_pendulum_energy_and_path_residual(B, z, x, r); /* refined once */
+    y = NULL; /* the one answer, whatever y */
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        double_pendulum_energy_and_path_spread(y, 1.0, step);
+        double_pendulum_energy_and_path_residual(B, z, step, r);
+    }
+    double_pendulum_energy_and_path_correct(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = step[j] + x[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    double_pendulum_energy_and_path_residual(B, z, x, r);
     double_pendulum_energy_and_path_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];

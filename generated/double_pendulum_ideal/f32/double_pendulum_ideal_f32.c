@@ -1319,7 +1319,7 @@ static int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const f
     const float s_0 = S[0];
     const float target = z[0];
     const float square = s_0 * s_0;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
+    /* every NaN and infinity in S, z ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased_square(square), 97, 157)) {
         if (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000)) {
             if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(target), 67, 187)) {
@@ -1724,6 +1724,9 @@ static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_
     int i, j;
     if (double_pendulum_ideal_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && double_pendulum_ideal_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
         return double_pendulum_ideal_f32_refuse(DOUBLE_PENDULUM_IDEAL_F32_NONFINITE, info);
+    }
+    if (known->rank == 2 && status != DOUBLE_PENDULUM_IDEAL_F32_REGULARISED) {
+        y = NULL; /* the one answer, whatever y */
     }
     for (i = 0; i < 2; ++i) {
         rest[i] = z[i];

@@ -1353,7 +1353,7 @@ static int double_pendulum_ideal_reaction_solve_core(const double *S, const doub
     const double s_0 = S[0];
     const double target = z[0];
     const double square = s_0 * s_0;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
+    /* every NaN and infinity in S, z ends in square or rest; so do atol, damping, overflow and underflow */
     if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased_square(square), 823, 1223)) {
         if (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000)) {
             if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(target), 323, 1723)) {
@@ -1758,6 +1758,9 @@ static int double_pendulum_ideal_solve_known(const double *S, const double *S_pi
     int i, j;
     if (double_pendulum_ideal_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && double_pendulum_ideal_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
         return double_pendulum_ideal_refuse(DOUBLE_PENDULUM_IDEAL_NONFINITE, info);
+    }
+    if (known->rank == 2 && status != DOUBLE_PENDULUM_IDEAL_REGULARISED) {
+        y = NULL; /* the one answer, whatever y */
     }
     for (i = 0; i < 2; ++i) {
         rest[i] = z[i];

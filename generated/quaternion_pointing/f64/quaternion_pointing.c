@@ -960,7 +960,6 @@ static void quaternion_pointing_apply(const quaternion_pointing_factors *f, cons
 static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info, int from)
 {
     quaternion_pointing_factors f;
-    const double *start = NULL; /* y where S leaves tau a freedom: not at full rank */
     double zs[3], ys[3], r[3], x[3], answer[3];
     double residual = 0.0;
     int unit = -16384;
@@ -972,12 +971,12 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
     if (status < 0) {
         return quaternion_pointing_refuse(status, info);
     }
-    if (f.rank < 3) {
-        start = y;
+    if (f.rank == 3) {
+        y = NULL; /* the one answer, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
-    if (start != NULL) {
-        unit = quaternion_pointing_exponent(quaternion_pointing_largest(start, 3));
+    if (y != NULL) {
+        unit = quaternion_pointing_exponent(quaternion_pointing_largest(y, 3));
     }
     for (i = 0; i < 3; ++i) {
         const int own = quaternion_pointing_exponent(quaternion_pointing_magnitude(z[i]));
@@ -992,14 +991,14 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
         zs[i] = f.exponent[i] == -16384 ? 0.0 : quaternion_pointing_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 3; ++j) {
-        ys[j] = start == NULL ? 0.0 : quaternion_pointing_shift(start[j], -unit);
+        ys[j] = y == NULL ? 0.0 : quaternion_pointing_shift(y[j], -unit);
     }
     quaternion_pointing_residual(f.B, zs, ys, r);
     quaternion_pointing_apply(&f, r, x, 0);
     for (j = 0; j < 3; ++j) {
         answer[j] = quaternion_pointing_shift(x[j], unit);
-        if (start != NULL) {
-            answer[j] = start[j] + answer[j];
+        if (y != NULL) {
+            answer[j] = y[j] + answer[j];
         }
         ys[j] = quaternion_pointing_shift(answer[j], -unit);
     }
@@ -1065,8 +1064,23 @@ static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_
     if (y != NULL && quaternion_pointing_largest(y, 3) >= UINT64_C(0x7ff0000000000000)) {
         return 0;
     }
-    quaternion_pointing_correct(normal, qr, B, z, x, 0); /* the one answer, whatever y */
-    quaternion_pointing_residual(B, z, x, r); /* refined once */
+    y = NULL; /* the one answer, whatever y */
+    if (y == NULL) {
+        for (j = 0; j < 3; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        quaternion_pointing_spread(y, 1.0, step);
+        quaternion_pointing_residual(B, z, step, r);
+    }
+    quaternion_pointing_correct(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 3; ++j) {
+            x[j] = step[j] + x[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    quaternion_pointing_residual(B, z, x, r);
     quaternion_pointing_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];

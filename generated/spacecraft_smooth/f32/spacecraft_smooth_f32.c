@@ -297,7 +297,7 @@ static int spacecraft_smooth_f32_cancels(float rest, float target)
     return spacecraft_smooth_f32_biased(rest) > spacecraft_smooth_f32_biased(target);
 }
 
-/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
 static int spacecraft_smooth_f32_exhausted(float square, float tau_square, float rest, float target)
 {
     const float noise = rest * 1.9073486e-6f;
@@ -462,7 +462,9 @@ static int spacecraft_smooth_f32_solve_core(const float *S, const float *z, cons
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
-                    if (spacecraft_smooth_f32_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+                    const float tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
+                    if (!spacecraft_smooth_f32_within(spacecraft_smooth_f32_biased_square(tau_square), 37, 217) ||
+                        spacecraft_smooth_f32_exhausted(square, tau_square, rest, target)) {
                         return spacecraft_smooth_f32_solve_scaled(S, z, y, tau, info);
                     }
                 }

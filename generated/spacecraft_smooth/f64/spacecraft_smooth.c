@@ -297,7 +297,7 @@ static int spacecraft_smooth_cancels(double rest, double target)
     return spacecraft_smooth_biased(rest) > spacecraft_smooth_biased(target);
 }
 
-/* Whether tau, of this square, may still be mostly rounding errors of y: then once more. */
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
 static int spacecraft_smooth_exhausted(double square, double tau_square, double rest, double target)
 {
     const double noise = rest * 3.552713678800501e-15;
@@ -462,7 +462,9 @@ static int spacecraft_smooth_solve_core(const double *S, const double *z, const 
                     t_0 += s_0 * more;
                     t_1 += s_1 * more;
                     t_2 += s_2 * more;
-                    if (spacecraft_smooth_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+                    const double tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
+                    if (!spacecraft_smooth_within(spacecraft_smooth_biased_square(tau_square), 223, 1823) ||
+                        spacecraft_smooth_exhausted(square, tau_square, rest, target)) {
                         return spacecraft_smooth_solve_scaled(S, z, y, tau, info);
                     }
                 }

@@ -992,7 +992,6 @@ static void unicycle_path_f32_apply(const unicycle_path_f32_factors *f, const fl
 static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, unicycle_path_f32_info *info, int from)
 {
     unicycle_path_f32_factors f;
-    const float *start = NULL; /* y where S leaves tau a freedom: not at full rank */
     float zs[2], ys[2], r[2], x[2], answer[2];
     float residual = 0.0f;
     int unit = -16384;
@@ -1004,12 +1003,12 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
     if (status < 0) {
         return unicycle_path_f32_refuse(status, info);
     }
-    if (f.rank < 2) {
-        start = y;
+    if (f.rank == 2) {
+        y = NULL; /* the one answer, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
-    if (start != NULL) {
-        unit = unicycle_path_f32_exponent(unicycle_path_f32_largest(start, 2));
+    if (y != NULL) {
+        unit = unicycle_path_f32_exponent(unicycle_path_f32_largest(y, 2));
     }
     for (i = 0; i < 2; ++i) {
         const int own = unicycle_path_f32_exponent(unicycle_path_f32_magnitude(z[i]));
@@ -1024,14 +1023,14 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
         zs[i] = f.exponent[i] == -16384 ? 0.0f : unicycle_path_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
-        ys[j] = start == NULL ? 0.0f : unicycle_path_f32_shift(start[j], -unit);
+        ys[j] = y == NULL ? 0.0f : unicycle_path_f32_shift(y[j], -unit);
     }
     unicycle_path_f32_residual(f.B, zs, ys, r);
     unicycle_path_f32_apply(&f, r, x, 0);
     for (j = 0; j < 2; ++j) {
         answer[j] = unicycle_path_f32_shift(x[j], unit);
-        if (start != NULL) {
-            answer[j] = start[j] + answer[j];
+        if (y != NULL) {
+            answer[j] = y[j] + answer[j];
         }
         ys[j] = unicycle_path_f32_shift(answer[j], -unit);
     }
@@ -1097,8 +1096,23 @@ static UNICYCLE_PATH_F32_NEAR int unicycle_path_f32_answer(const unicycle_path_f
     if (y != NULL && unicycle_path_f32_largest(y, 2) >= UINT32_C(0x7f800000)) {
         return 0;
     }
-    unicycle_path_f32_correct(normal, qr, B, z, x, 0); /* the one answer, whatever y */
-    unicycle_path_f32_residual(B, z, x, r); /* refined once */
+    y = NULL; /* the one answer, whatever y */
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        unicycle_path_f32_spread(y, 1.0f, step);
+        unicycle_path_f32_residual(B, z, step, r);
+    }
+    unicycle_path_f32_correct(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = step[j] + x[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    unicycle_path_f32_residual(B, z, x, r);
     unicycle_path_f32_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];

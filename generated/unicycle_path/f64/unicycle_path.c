@@ -1026,7 +1026,6 @@ static void unicycle_path_apply(const unicycle_path_factors *f, const double *r,
 static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info, int from)
 {
     unicycle_path_factors f;
-    const double *start = NULL; /* y where S leaves tau a freedom: not at full rank */
     double zs[2], ys[2], r[2], x[2], answer[2];
     double residual = 0.0;
     int unit = -16384;
@@ -1038,12 +1037,12 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
     if (status < 0) {
         return unicycle_path_refuse(status, info);
     }
-    if (f.rank < 2) {
-        start = y;
+    if (f.rank == 2) {
+        y = NULL; /* the one answer, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
-    if (start != NULL) {
-        unit = unicycle_path_exponent(unicycle_path_largest(start, 2));
+    if (y != NULL) {
+        unit = unicycle_path_exponent(unicycle_path_largest(y, 2));
     }
     for (i = 0; i < 2; ++i) {
         const int own = unicycle_path_exponent(unicycle_path_magnitude(z[i]));
@@ -1058,14 +1057,14 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
         zs[i] = f.exponent[i] == -16384 ? 0.0 : unicycle_path_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
-        ys[j] = start == NULL ? 0.0 : unicycle_path_shift(start[j], -unit);
+        ys[j] = y == NULL ? 0.0 : unicycle_path_shift(y[j], -unit);
     }
     unicycle_path_residual(f.B, zs, ys, r);
     unicycle_path_apply(&f, r, x, 0);
     for (j = 0; j < 2; ++j) {
         answer[j] = unicycle_path_shift(x[j], unit);
-        if (start != NULL) {
-            answer[j] = start[j] + answer[j];
+        if (y != NULL) {
+            answer[j] = y[j] + answer[j];
         }
         ys[j] = unicycle_path_shift(answer[j], -unit);
     }
@@ -1131,8 +1130,23 @@ static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *n
     if (y != NULL && unicycle_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000)) {
         return 0;
     }
-    unicycle_path_correct(normal, qr, B, z, x, 0); /* the one answer, whatever y */
-    unicycle_path_residual(B, z, x, r); /* refined once */
+    y = NULL; /* the one answer, whatever y */
+    if (y == NULL) {
+        for (j = 0; j < 2; ++j) {
+            r[j] = z[j];
+        }
+    } else {
+        unicycle_path_spread(y, 1.0, step);
+        unicycle_path_residual(B, z, step, r);
+    }
+    unicycle_path_correct(normal, qr, B, r, x, 0);
+    if (y != NULL) {
+        for (j = 0; j < 2; ++j) {
+            x[j] = step[j] + x[j];
+        }
+    }
+    /* refined once, from the answer itself: where x cancels y, its rounding is taken back too */
+    unicycle_path_residual(B, z, x, r);
     unicycle_path_correct(normal, qr, B, r, step, 1);
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
