@@ -1,4 +1,6 @@
-"""Which inputs cannot be NaN or infinite without an output being so: those need no test of their own."""
+"""What cannot be NaN or infinite without an output being so: that needs no test of its own."""
+
+from collections.abc import Iterable
 
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
@@ -6,14 +8,26 @@ from servogen.ir.program import Program
 
 def told_inputs(program: Program) -> frozenset[tuple[str, int]]:
     """(name, index) of every input element from which operations that hide no NaN and no infinity lead to an output."""
-    told = {node for output in program.outputs for node in output.nodes}
-    found = set()
+    told = _told(program, (node for output in program.outputs for node in output.nodes))
+    return frozenset(i.const for k in told if isinstance((i := program.instrs[k]).const, tuple))
+
+
+def watched_outputs(program: Program) -> frozenset[tuple[str, int]]:
+    """(name, index) of output entries such that all are finite where these are: the rest lead to these, or are constants."""
+    nodes = {(o.name, k): node for o in program.outputs for k, node in enumerate(o.nodes)}
+    watched = {entry: node for entry, node in nodes.items() if program.instrs[node].op != "const"}
+    for entry, node in list(watched.items()):
+        others = [n for e, n in watched.items() if e != entry]
+        if node in _told(program, others):
+            del watched[entry]
+    return frozenset(watched)
+
+
+def _told(program: Program, roots: Iterable[int]) -> set[int]:
+    """The nodes whose NaN or infinity one of the roots shows."""
+    told = set(roots)
     for k in reversed(range(len(program.instrs))):
-        instr = program.instrs[k]
-        if k not in told:
-            continue
-        if isinstance(instr.const, tuple):
-            found.add(instr.const)
-        elif instr.op in OPS:
-            told.update(instr.args[i] for i in OPS[instr.op].telling)
-    return frozenset(found)
+        op = program.instrs[k].op
+        if k in told and op in OPS:
+            told.update(program.instrs[k].args[i] for i in OPS[op].telling)
+    return told

@@ -7,12 +7,16 @@ from typing import Any, Literal
 
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
-from servogen.ir.telling import told_inputs
+from servogen.ir.telling import told_inputs, watched_outputs
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
 from servogen.scalars import Scalar
 from servogen.scene.system import System
+
+
+SMALL = 64
+"""Operations up to which a kernel is inlined wherever it is called."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,21 @@ class Kernel:
     guards: int = 0
     chunks: Chunks | None = None
     pairs: Pairs = ()
+
+    def handed_out(self) -> Program:
+        """The program with its results as only outputs: not the pivots."""
+        results = {r.name for r in self.results}
+        return replace(self.program, outputs=tuple(o for o in self.program.outputs if o.name in results))
+
+    def watched(self) -> tuple[Result, ...]:
+        """The results to be looked at: where these are finite, all are."""
+        names = {name for name, _ in watched_outputs(self.handed_out())}
+        return tuple(r for r in self.results if r.name in names)
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a call, and results that pass through memory, cost as much as it does."""
+        return self.chunks is None and self.program.operations()["total"] <= SMALL
 
 
 @dataclass(frozen=True)
@@ -171,9 +190,7 @@ class Module:
 
     def silent(self, kernel: Kernel) -> tuple[tuple[StructField, int, int], ...]:
         """(input, first, count) of every run of elements that may be NaN or infinite without a result being so."""
-        results = {r.name for r in kernel.results}
-        outputs = tuple(o for o in kernel.program.outputs if o.name in results)  # not the pivots
-        told = told_inputs(replace(kernel.program, outputs=outputs))
+        told = told_inputs(kernel.handed_out())
         runs = []
         for f in self.inputs:
             silent = [(f.name, k) not in told for k in range(f.size)]

@@ -209,11 +209,14 @@ static float double_pendulum_energy_f32_cos(float x)
 }
 
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_F32_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_F32_COLD
+#define DOUBLE_PENDULUM_ENERGY_F32_SMALL
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -542,7 +545,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_quick_info
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
-static int double_pendulum_energy_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_F32_SMALL int double_pendulum_energy_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
@@ -654,7 +657,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_reason(con
     return status == DOUBLE_PENDULUM_ENERGY_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_f32_eval_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_f32_cos(t0);
@@ -689,7 +692,7 @@ static int double_pendulum_energy_f32_checked_psi(const double_pendulum_energy_f
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
-static void double_pendulum_energy_f32_eval_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
+static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
     (void)model;
     const float t0 = in->u[1] - in->u[0];
@@ -712,7 +715,7 @@ static int double_pendulum_energy_f32_checked_S(const double_pendulum_energy_f32
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
-static void double_pendulum_energy_f32_eval_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
+static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_f32_cos(t0);
@@ -747,7 +750,7 @@ static int double_pendulum_energy_f32_checked_z(const double_pendulum_energy_f32
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
-static void double_pendulum_energy_f32_eval_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
+static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_f32_cos(t0);

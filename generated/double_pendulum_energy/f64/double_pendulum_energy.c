@@ -243,11 +243,14 @@ static double double_pendulum_energy_cos(double x)
 }
 
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_COLD
+#define DOUBLE_PENDULUM_ENERGY_SMALL
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -576,7 +579,7 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_quick_info(double 
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-static int double_pendulum_energy_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
+static DOUBLE_PENDULUM_ENERGY_SMALL int double_pendulum_energy_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
 {
     const double s_0 = S[0];
     const double s_1 = S[1];
@@ -688,7 +691,7 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(const doubl
     return status == DOUBLE_PENDULUM_ENERGY_NONFINITE ? DOUBLE_PENDULUM_ENERGY_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_eval_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
+static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);
@@ -723,7 +726,7 @@ static int double_pendulum_energy_checked_psi(const double_pendulum_energy_model
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-static void double_pendulum_energy_eval_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
+static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
     (void)model;
     const double t0 = in->u[1] - in->u[0];
@@ -746,7 +749,7 @@ static int double_pendulum_energy_checked_S(const double_pendulum_energy_model *
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-static void double_pendulum_energy_eval_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
+static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);
@@ -781,7 +784,7 @@ static int double_pendulum_energy_checked_z(const double_pendulum_energy_model *
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-static void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
+static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);

@@ -1282,11 +1282,14 @@ static int double_pendulum_energy_and_path_f32_input_finite(const double_pendulu
            && double_pendulum_energy_and_path_f32_finite(&in->E_0, 1);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1298,7 +1301,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_p
     return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_and_path_f32_eval_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_and_path_f32_cos(t0);
@@ -1337,7 +1340,7 @@ static int double_pendulum_energy_and_path_f32_checked_psi(const double_pendulum
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-static void double_pendulum_energy_and_path_f32_eval_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_and_path_f32_cos(t0);
@@ -1387,7 +1390,7 @@ static int double_pendulum_energy_and_path_f32_checked_S(const double_pendulum_e
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-static void double_pendulum_energy_and_path_f32_eval_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_f32_pair t1 = double_pendulum_energy_and_path_f32_sincos(t0);
@@ -1467,7 +1470,7 @@ static int double_pendulum_energy_and_path_f32_checked_z(const double_pendulum_e
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-static void double_pendulum_energy_and_path_f32_eval_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_f32_pair t1 = double_pendulum_energy_and_path_f32_sincos(t0);

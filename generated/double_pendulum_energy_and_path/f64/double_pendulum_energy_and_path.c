@@ -1316,11 +1316,14 @@ static int double_pendulum_energy_and_path_input_finite(const double_pendulum_en
            && double_pendulum_energy_and_path_finite(&in->E_0, 1);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1332,7 +1335,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_
     return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_and_path_eval_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_and_path_cos(t0);
@@ -1371,7 +1374,7 @@ static int double_pendulum_energy_and_path_checked_psi(const double_pendulum_ene
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-static void double_pendulum_energy_and_path_eval_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_and_path_cos(t0);
@@ -1421,7 +1424,7 @@ static int double_pendulum_energy_and_path_checked_S(const double_pendulum_energ
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-static void double_pendulum_energy_and_path_eval_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
     const double t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_pair t1 = double_pendulum_energy_and_path_sincos(t0);
@@ -1501,7 +1504,7 @@ static int double_pendulum_energy_and_path_checked_z(const double_pendulum_energ
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-static void double_pendulum_energy_and_path_eval_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
     const double t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_pair t1 = double_pendulum_energy_and_path_sincos(t0);

@@ -235,11 +235,14 @@ static double_pendulum_energy_free_y_f32_pair double_pendulum_energy_free_y_f32_
 }
 
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -568,7 +571,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-static int double_pendulum_energy_free_y_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL int double_pendulum_energy_free_y_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
@@ -680,7 +683,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return status == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_free_y_f32_eval_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
@@ -715,7 +718,7 @@ static int double_pendulum_energy_free_y_f32_checked_psi(const double_pendulum_e
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-static void double_pendulum_energy_free_y_f32_eval_S(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
 {
     (void)model;
     const float t0 = in->u[1] - in->u[0];
@@ -738,7 +741,7 @@ static int double_pendulum_energy_free_y_f32_checked_S(const double_pendulum_ene
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-static void double_pendulum_energy_free_y_f32_eval_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
@@ -773,7 +776,7 @@ static int double_pendulum_energy_free_y_f32_checked_z(const double_pendulum_ene
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-static void double_pendulum_energy_free_y_f32_eval_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
 {
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
@@ -812,7 +815,7 @@ static int double_pendulum_energy_free_y_f32_checked_S_z(const double_pendulum_e
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-static void double_pendulum_energy_free_y_f32_eval_S_z_y(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z, float *y)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S_z_y(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z, float *y)
 {
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_free_y_f32_pair t1 = double_pendulum_energy_free_y_f32_sincos(t0);

@@ -269,11 +269,14 @@ static double_pendulum_energy_free_y_pair double_pendulum_energy_free_y_sincos(d
 }
 
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -602,7 +605,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_quic
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-static int double_pendulum_energy_free_y_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL int double_pendulum_energy_free_y_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
 {
     const double s_0 = S[0];
     const double s_1 = S[1];
@@ -714,7 +717,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_reas
     return status == DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE ? DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW : status;
 }
 
-static void double_pendulum_energy_free_y_eval_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_free_y_cos(t0);
@@ -749,7 +752,7 @@ static int double_pendulum_energy_free_y_checked_psi(const double_pendulum_energ
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-static void double_pendulum_energy_free_y_eval_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
 {
     (void)model;
     const double t0 = in->u[1] - in->u[0];
@@ -772,7 +775,7 @@ static int double_pendulum_energy_free_y_checked_S(const double_pendulum_energy_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-static void double_pendulum_energy_free_y_eval_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_free_y_cos(t0);
@@ -807,7 +810,7 @@ static int double_pendulum_energy_free_y_checked_z(const double_pendulum_energy_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-static void double_pendulum_energy_free_y_eval_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
 {
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_free_y_cos(t0);
@@ -846,7 +849,7 @@ static int double_pendulum_energy_free_y_checked_S_z(const double_pendulum_energ
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-static void double_pendulum_energy_free_y_eval_S_z_y(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z, double *y)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S_z_y(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z, double *y)
 {
     const double t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_free_y_pair t1 = double_pendulum_energy_free_y_sincos(t0);

@@ -1079,11 +1079,14 @@ static uint64_t double_pendulum_ideal_reaction_largest(const double *x, int n)
     return largest;
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_IDEAL_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_IDEAL_COLD
+#define DOUBLE_PENDULUM_IDEAL_SMALL
 #endif
 
 /* 2^k, -1022 <= k <= 1023. */
@@ -1348,7 +1351,7 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_quick_info(
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-static int double_pendulum_ideal_reaction_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+static DOUBLE_PENDULUM_IDEAL_SMALL int double_pendulum_ideal_reaction_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double s_0 = S[0];
     const double target = z[0];
@@ -1408,11 +1411,14 @@ static int double_pendulum_ideal_input_finite(const double_pendulum_ideal_input 
            && double_pendulum_ideal_finite(&in->E_0, 1);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_IDEAL_SMALL inline __attribute__((always_inline))
 #else
 #define DOUBLE_PENDULUM_IDEAL_COLD
+#define DOUBLE_PENDULUM_IDEAL_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1424,7 +1430,7 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(const double_
     return status == DOUBLE_PENDULUM_IDEAL_NONFINITE ? DOUBLE_PENDULUM_IDEAL_OVERFLOW : status;
 }
 
-static void double_pendulum_ideal_eval_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
+static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
 {
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->u[1] * t0;
@@ -1463,7 +1469,7 @@ static int double_pendulum_ideal_checked_psi(const double_pendulum_ideal_model *
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-static void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
+static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
 {
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->q[0] - in->q[1];
@@ -1500,7 +1506,7 @@ static int double_pendulum_ideal_checked_T(const double_pendulum_ideal_model *mo
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-static void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
+static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
 {
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->u[1] * t0;
@@ -1561,7 +1567,7 @@ static int double_pendulum_ideal_checked_F(const double_pendulum_ideal_model *mo
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-static void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
+static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
 {
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->u[1] * t0;
@@ -1601,7 +1607,7 @@ static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const 
 {
     double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
 
-    if (!(double_pendulum_ideal_finite(reaction_matrix, 1) && double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
+    if (!(double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
         return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;

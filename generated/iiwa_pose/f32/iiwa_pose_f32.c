@@ -1540,11 +1540,14 @@ static int iiwa_pose_f32_input_finite(const iiwa_pose_f32_input *in)
            && iiwa_pose_f32_finite(in->o, 4);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define IIWA_POSE_F32_COLD __attribute__((noinline, cold))
+#define IIWA_POSE_F32_SMALL inline __attribute__((always_inline))
 #else
 #define IIWA_POSE_F32_COLD
+#define IIWA_POSE_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */

@@ -1386,11 +1386,14 @@ static int iiwa_position_f32_input_finite(const iiwa_position_f32_input *in)
            && iiwa_position_f32_finite(in->r_ddot, 3);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define IIWA_POSITION_F32_COLD __attribute__((noinline, cold))
+#define IIWA_POSITION_F32_SMALL inline __attribute__((always_inline))
 #else
 #define IIWA_POSITION_F32_COLD
+#define IIWA_POSITION_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */

@@ -1250,11 +1250,14 @@ static int planar_arm_3r_damped_f32_input_finite(const planar_arm_3r_damped_f32_
            && planar_arm_3r_damped_f32_finite(in->r_ddot, 2);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define PLANAR_ARM_3R_DAMPED_F32_COLD __attribute__((noinline, cold))
+#define PLANAR_ARM_3R_DAMPED_F32_SMALL inline __attribute__((always_inline))
 #else
 #define PLANAR_ARM_3R_DAMPED_F32_COLD
+#define PLANAR_ARM_3R_DAMPED_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1266,7 +1269,7 @@ static PLANAR_ARM_3R_DAMPED_F32_COLD int planar_arm_3r_damped_f32_reason(const p
     return status == PLANAR_ARM_3R_DAMPED_F32_NONFINITE ? PLANAR_ARM_3R_DAMPED_F32_OVERFLOW : status;
 }
 
-static void planar_arm_3r_damped_f32_eval_psi(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *psi)
+static PLANAR_ARM_3R_DAMPED_F32_SMALL void planar_arm_3r_damped_f32_eval_psi(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *psi)
 {
     const planar_arm_3r_damped_f32_pair t0 = planar_arm_3r_damped_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;

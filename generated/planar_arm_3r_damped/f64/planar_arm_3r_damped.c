@@ -1284,11 +1284,14 @@ static int planar_arm_3r_damped_input_finite(const planar_arm_3r_damped_input *i
            && planar_arm_3r_damped_finite(in->r_ddot, 2);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define PLANAR_ARM_3R_DAMPED_COLD __attribute__((noinline, cold))
+#define PLANAR_ARM_3R_DAMPED_SMALL inline __attribute__((always_inline))
 #else
 #define PLANAR_ARM_3R_DAMPED_COLD
+#define PLANAR_ARM_3R_DAMPED_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1300,7 +1303,7 @@ static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_reason(const planar_ar
     return status == PLANAR_ARM_3R_DAMPED_NONFINITE ? PLANAR_ARM_3R_DAMPED_OVERFLOW : status;
 }
 
-static void planar_arm_3r_damped_eval_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
+static PLANAR_ARM_3R_DAMPED_SMALL void planar_arm_3r_damped_eval_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
 {
     const planar_arm_3r_damped_pair t0 = planar_arm_3r_damped_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;

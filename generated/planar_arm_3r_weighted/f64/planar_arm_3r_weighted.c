@@ -1284,11 +1284,14 @@ static int planar_arm_3r_weighted_input_finite(const planar_arm_3r_weighted_inpu
            && planar_arm_3r_weighted_finite(in->r_ddot, 2);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define PLANAR_ARM_3R_WEIGHTED_COLD __attribute__((noinline, cold))
+#define PLANAR_ARM_3R_WEIGHTED_SMALL inline __attribute__((always_inline))
 #else
 #define PLANAR_ARM_3R_WEIGHTED_COLD
+#define PLANAR_ARM_3R_WEIGHTED_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1300,7 +1303,7 @@ static PLANAR_ARM_3R_WEIGHTED_COLD int planar_arm_3r_weighted_reason(const plana
     return status == PLANAR_ARM_3R_WEIGHTED_NONFINITE ? PLANAR_ARM_3R_WEIGHTED_OVERFLOW : status;
 }
 
-static void planar_arm_3r_weighted_eval_psi(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *psi)
+static PLANAR_ARM_3R_WEIGHTED_SMALL void planar_arm_3r_weighted_eval_psi(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *psi)
 {
     const planar_arm_3r_weighted_pair t0 = planar_arm_3r_weighted_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;

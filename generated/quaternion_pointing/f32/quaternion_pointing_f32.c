@@ -1222,11 +1222,14 @@ static int quaternion_pointing_f32_input_finite(const quaternion_pointing_f32_in
            && quaternion_pointing_f32_finite(in->u, 3);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define QUATERNION_POINTING_F32_COLD __attribute__((noinline, cold))
+#define QUATERNION_POINTING_F32_SMALL inline __attribute__((always_inline))
 #else
 #define QUATERNION_POINTING_F32_COLD
+#define QUATERNION_POINTING_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1238,7 +1241,7 @@ static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(const qua
     return status == QUATERNION_POINTING_F32_NONFINITE ? QUATERNION_POINTING_F32_OVERFLOW : status;
 }
 
-static void quaternion_pointing_f32_eval_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
+static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
 {
     (void)model;
     const float t0 = in->q[1] * in->q[3];
@@ -1269,7 +1272,7 @@ static int quaternion_pointing_f32_checked_psi(const quaternion_pointing_f32_mod
     return QUATERNION_POINTING_F32_OK;
 }
 
-static void quaternion_pointing_f32_eval_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
+static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
     const float t0 = in->q[1] * in->q[2];
     const float t1 = in->q[3] * in->q[0];
@@ -1317,7 +1320,7 @@ static int quaternion_pointing_f32_checked_S(const quaternion_pointing_f32_model
     return QUATERNION_POINTING_F32_OK;
 }
 
-static void quaternion_pointing_f32_eval_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
+static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
 {
     const float t0 = in->q[1] * in->q[3];
     const float t1 = in->q[0] * in->q[2];

@@ -1222,11 +1222,14 @@ static int quaternion_pointing_input_finite(const quaternion_pointing_input *in)
            && quaternion_pointing_finite(in->u, 3);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define QUATERNION_POINTING_COLD __attribute__((noinline, cold))
+#define QUATERNION_POINTING_SMALL inline __attribute__((always_inline))
 #else
 #define QUATERNION_POINTING_COLD
+#define QUATERNION_POINTING_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1238,7 +1241,7 @@ static QUATERNION_POINTING_COLD int quaternion_pointing_reason(const quaternion_
     return status == QUATERNION_POINTING_NONFINITE ? QUATERNION_POINTING_OVERFLOW : status;
 }
 
-static void quaternion_pointing_eval_psi(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *psi)
+static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_psi(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *psi)
 {
     (void)model;
     const double t0 = in->q[1] * in->q[3];
@@ -1269,7 +1272,7 @@ static int quaternion_pointing_checked_psi(const quaternion_pointing_model *mode
     return QUATERNION_POINTING_OK;
 }
 
-static void quaternion_pointing_eval_S(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S)
+static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_S(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S)
 {
     const double t0 = in->q[1] * in->q[2];
     const double t1 = in->q[3] * in->q[0];
@@ -1317,7 +1320,7 @@ static int quaternion_pointing_checked_S(const quaternion_pointing_model *model,
     return QUATERNION_POINTING_OK;
 }
 
-static void quaternion_pointing_eval_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *z)
+static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *z)
 {
     const double t0 = in->q[1] * in->q[3];
     const double t1 = in->q[0] * in->q[2];

@@ -1153,11 +1153,14 @@ static int skewed_thrusters_f32_input_finite(const skewed_thrusters_f32_input *i
            && skewed_thrusters_f32_finite(in->rate_dot, 3);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define SKEWED_THRUSTERS_F32_COLD __attribute__((noinline, cold))
+#define SKEWED_THRUSTERS_F32_SMALL inline __attribute__((always_inline))
 #else
 #define SKEWED_THRUSTERS_F32_COLD
+#define SKEWED_THRUSTERS_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1169,7 +1172,7 @@ static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_reason(const skewed_th
     return status == SKEWED_THRUSTERS_F32_NONFINITE ? SKEWED_THRUSTERS_F32_OVERFLOW : status;
 }
 
-static void skewed_thrusters_f32_eval_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
 {
     (void)model;
     const float t0 = in->u[0] - in->velocity[0];
@@ -1201,7 +1204,7 @@ static int skewed_thrusters_f32_checked_psi(const skewed_thrusters_f32_model *mo
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-static void skewed_thrusters_f32_eval_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */
@@ -1269,7 +1272,7 @@ static int skewed_thrusters_f32_checked_S(const skewed_thrusters_f32_model *mode
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-static void skewed_thrusters_f32_eval_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
 {
     const float t0 = in->u[0] - in->velocity[0];
     const float t1 = in->u[1] - in->velocity[1];
@@ -1339,7 +1342,7 @@ static int skewed_thrusters_f32_checked_z(const skewed_thrusters_f32_model *mode
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-static void skewed_thrusters_f32_eval_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
 {
     const float t0 = in->u[0] - in->velocity[0];
     const float t1 = in->u[1] - in->velocity[1];
@@ -1458,7 +1461,7 @@ static int skewed_thrusters_f32_checked_S_z(const skewed_thrusters_f32_model *mo
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-static void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z, float *y)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z, float *y)
 {
     const float t0 = in->u[0] - in->velocity[0];
     const float t1 = in->u[1] - in->velocity[1];
@@ -1527,7 +1530,7 @@ static void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *mode
 }
 
 
-static void skewed_thrusters_f32_eval_known_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
+static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_known_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */

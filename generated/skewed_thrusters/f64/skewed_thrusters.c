@@ -1153,11 +1153,14 @@ static int skewed_thrusters_input_finite(const skewed_thrusters_input *in)
            && skewed_thrusters_finite(in->rate_dot, 3);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define SKEWED_THRUSTERS_COLD __attribute__((noinline, cold))
+#define SKEWED_THRUSTERS_SMALL inline __attribute__((always_inline))
 #else
 #define SKEWED_THRUSTERS_COLD
+#define SKEWED_THRUSTERS_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1169,7 +1172,7 @@ static SKEWED_THRUSTERS_COLD int skewed_thrusters_reason(const skewed_thrusters_
     return status == SKEWED_THRUSTERS_NONFINITE ? SKEWED_THRUSTERS_OVERFLOW : status;
 }
 
-static void skewed_thrusters_eval_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
 {
     (void)model;
     const double t0 = in->u[0] - in->velocity[0];
@@ -1201,7 +1204,7 @@ static int skewed_thrusters_checked_psi(const skewed_thrusters_model *model, con
     return SKEWED_THRUSTERS_OK;
 }
 
-static void skewed_thrusters_eval_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */
@@ -1269,7 +1272,7 @@ static int skewed_thrusters_checked_S(const skewed_thrusters_model *model, const
     return SKEWED_THRUSTERS_OK;
 }
 
-static void skewed_thrusters_eval_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
 {
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
@@ -1339,7 +1342,7 @@ static int skewed_thrusters_checked_z(const skewed_thrusters_model *model, const
     return SKEWED_THRUSTERS_OK;
 }
 
-static void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
 {
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
@@ -1458,7 +1461,7 @@ static int skewed_thrusters_checked_S_z(const skewed_thrusters_model *model, con
     return SKEWED_THRUSTERS_OK;
 }
 
-static void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z, double *y)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z, double *y)
 {
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
@@ -1527,7 +1530,7 @@ static void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const
 }
 
 
-static void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
+static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */

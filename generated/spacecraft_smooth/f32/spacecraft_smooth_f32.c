@@ -90,11 +90,14 @@ static float spacecraft_smooth_f32_sqrt(float x)
 #endif
 
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define SPACECRAFT_SMOOTH_F32_COLD __attribute__((noinline, cold))
+#define SPACECRAFT_SMOOTH_F32_SMALL inline __attribute__((always_inline))
 #else
 #define SPACECRAFT_SMOOTH_F32_COLD
+#define SPACECRAFT_SMOOTH_F32_SMALL
 #endif
 
 /* 2^k, -126 <= k <= 127. */
@@ -424,7 +427,7 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_quick_info(float squ
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static int spacecraft_smooth_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
+static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
@@ -527,7 +530,7 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(const spacecr
     return status == SPACECRAFT_SMOOTH_F32_NONFINITE ? SPACECRAFT_SMOOTH_F32_OVERFLOW : status;
 }
 
-static void spacecraft_smooth_f32_eval_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
 {
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
@@ -564,7 +567,7 @@ static int spacecraft_smooth_f32_checked_phi(const spacecraft_smooth_f32_model *
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A)
 {
     const float t0 = model->I_1 * in->u[0];
     const float t1 = model->I_2 * in->u[1];
@@ -589,7 +592,7 @@ static int spacecraft_smooth_f32_checked_A(const spacecraft_smooth_f32_model *mo
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *B)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *B)
 {
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
@@ -632,7 +635,7 @@ static int spacecraft_smooth_f32_checked_B(const spacecraft_smooth_f32_model *mo
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
 {
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
@@ -673,13 +676,13 @@ static int spacecraft_smooth_f32_checked_A_B(const spacecraft_smooth_f32_model *
 {
     spacecraft_smooth_f32_eval_A_B(model, in, A, B);
 
-    if (!(spacecraft_smooth_f32_finite(A, 3) && spacecraft_smooth_f32_finite(B, 1))) {
+    if (!(spacecraft_smooth_f32_finite(B, 1))) {
         return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-static void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
 {
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
@@ -720,7 +723,7 @@ static void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *
 }
 
 
-static void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
 {
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
@@ -755,7 +758,7 @@ static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model
 {
     spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
 
-    if (!(spacecraft_smooth_f32_finite(phi, 1) && spacecraft_smooth_f32_finite(A, 3))) {
+    if (!(spacecraft_smooth_f32_finite(phi, 1))) {
         return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
     }
     return SPACECRAFT_SMOOTH_F32_OK;

@@ -1259,11 +1259,14 @@ static int unicycle_path_f32_input_finite(const unicycle_path_f32_input *in)
            && unicycle_path_f32_finite(&in->radius_ddot, 1);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define UNICYCLE_PATH_F32_COLD __attribute__((noinline, cold))
+#define UNICYCLE_PATH_F32_SMALL inline __attribute__((always_inline))
 #else
 #define UNICYCLE_PATH_F32_COLD
+#define UNICYCLE_PATH_F32_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1275,7 +1278,7 @@ static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(const unicycle_path_f
     return status == UNICYCLE_PATH_F32_NONFINITE ? UNICYCLE_PATH_F32_OVERFLOW : status;
 }
 
-static void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
+static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
 {
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
@@ -1307,7 +1310,7 @@ static int unicycle_path_f32_checked_psi(const unicycle_path_f32_model *model, c
     return UNICYCLE_PATH_F32_OK;
 }
 
-static void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
+static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
 {
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
@@ -1356,7 +1359,7 @@ static int unicycle_path_f32_checked_S(const unicycle_path_f32_model *model, con
     return UNICYCLE_PATH_F32_OK;
 }
 
-static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
+static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;

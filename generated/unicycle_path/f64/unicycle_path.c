@@ -1293,11 +1293,14 @@ static int unicycle_path_input_finite(const unicycle_path_input *in)
            && unicycle_path_finite(&in->radius_ddot, 1);
 }
 
-/* Rarely or never needed: small, and out of the way of what is. */
+/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
+   cost as much as it does. */
 #if defined(__GNUC__)
 #define UNICYCLE_PATH_COLD __attribute__((noinline, cold))
+#define UNICYCLE_PATH_SMALL inline __attribute__((always_inline))
 #else
 #define UNICYCLE_PATH_COLD
+#define UNICYCLE_PATH_SMALL
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
@@ -1309,7 +1312,7 @@ static UNICYCLE_PATH_COLD int unicycle_path_reason(const unicycle_path_input *in
     return status == UNICYCLE_PATH_NONFINITE ? UNICYCLE_PATH_OVERFLOW : status;
 }
 
-static void unicycle_path_eval_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
+static UNICYCLE_PATH_SMALL void unicycle_path_eval_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
 {
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
@@ -1341,7 +1344,7 @@ static int unicycle_path_checked_psi(const unicycle_path_model *model, const uni
     return UNICYCLE_PATH_OK;
 }
 
-static void unicycle_path_eval_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
+static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
 {
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
@@ -1390,7 +1393,7 @@ static int unicycle_path_checked_S(const unicycle_path_model *model, const unicy
     return UNICYCLE_PATH_OK;
 }
 
-static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
+static UNICYCLE_PATH_SMALL void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
