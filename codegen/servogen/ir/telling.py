@@ -13,7 +13,7 @@ def told_inputs(program: Program) -> frozenset[tuple[str, int]]:
 
 
 def watched_outputs(program: Program) -> frozenset[tuple[str, int]]:
-    """(name, index) of output entries such that all are finite where these are: the rest lead to these, or are constants."""
+    """(name, index) of output entries: where these are finite, all are. The rest lead to them, or are constants."""
     nodes = {(o.name, k): node for o in program.outputs for k, node in enumerate(o.nodes)}
     watched = {entry: node for entry, node in nodes.items() if program.instrs[node].op != "const"}
     for entry, node in list(watched.items()):
