@@ -119,8 +119,8 @@ def _emitted(module: Module) -> dict[str, bool]:
 
 
 def _checked(module: Module) -> list[Kernel]:
-    """The kernels whose results are handed out, or looked at by no solver; the others' callers check what they need."""
-    kernels = [entry.kernel for entry in module.entry_points]
+    """The kernels of control whose results no solver looks at."""
+    kernels: list[Kernel] = []
     control = module.control
     if control is not None and control.reaction is not None:
         kernels += [control.kernel, control.reaction.kernel]

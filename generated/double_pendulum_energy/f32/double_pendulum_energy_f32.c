@@ -681,16 +681,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_psi
     psi[0] = t17;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
-static int double_pendulum_energy_f32_checked_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
-{
-    double_pendulum_energy_f32_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_energy_f32_finite(psi, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
@@ -701,19 +691,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S(c
     S[1] = t0;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
-static int double_pendulum_energy_f32_checked_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
-{
-    if (!(double_pendulum_energy_f32_finite(in->q, 2) && double_pendulum_energy_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
-    }
-    double_pendulum_energy_f32_eval_S(model, in, S);
-
-    if (!(double_pendulum_energy_f32_finite(S, 2))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
 {
@@ -739,16 +716,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_z(c
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
-static int double_pendulum_energy_f32_checked_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
-{
-    double_pendulum_energy_f32_eval_z(model, in, z);
-
-    if (!(double_pendulum_energy_f32_finite(z, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
 {
@@ -778,16 +745,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL void double_pendulum_energy_f32_eval_S_z
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_F32_OK, or a negative status. */
-static int double_pendulum_energy_f32_checked_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
-{
-    double_pendulum_energy_f32_eval_S_z(model, in, S, z);
-
-    if (!(double_pendulum_energy_f32_finite(S, 2) && double_pendulum_energy_f32_finite(z, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_F32_OK;
-}
 
 int double_pendulum_energy_f32_prepare(const double_pendulum_energy_f32_params *params, double_pendulum_energy_f32_model *model)
 {
@@ -866,47 +823,50 @@ int double_pendulum_energy_f32_prepare(const double_pendulum_energy_f32_params *
 int double_pendulum_energy_f32_psi(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *psi)
 {
     float new_psi[1];
-    const int status = double_pendulum_energy_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_f32_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_energy_f32_finite(new_psi, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     double_pendulum_energy_f32_copy(new_psi, psi, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
 int double_pendulum_energy_f32_S(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
     float new_S[2];
-    const int status = double_pendulum_energy_f32_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(double_pendulum_energy_f32_finite(in->q, 2) && double_pendulum_energy_f32_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
+    }
+    double_pendulum_energy_f32_eval_S(model, in, new_S);
+    if (!(double_pendulum_energy_f32_finite(new_S, 2))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     double_pendulum_energy_f32_copy(new_S, S, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
 int double_pendulum_energy_f32_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
 {
     float new_z[1];
-    const int status = double_pendulum_energy_f32_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_f32_eval_z(model, in, new_z);
+    if (!(double_pendulum_energy_f32_finite(new_z, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     double_pendulum_energy_f32_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
 int double_pendulum_energy_f32_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
 {
     float new_S[2];
     float new_z[1];
-    const int status = double_pendulum_energy_f32_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_f32_eval_S_z(model, in, new_S, new_z);
+    if (!(double_pendulum_energy_f32_finite(new_S, 2) && double_pendulum_energy_f32_finite(new_z, 1))) {
+        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
     }
     double_pendulum_energy_f32_copy(new_S, S, 2);
     double_pendulum_energy_f32_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
 const double_pendulum_energy_f32_params double_pendulum_energy_f32_params_default = {
@@ -928,7 +888,6 @@ int double_pendulum_energy_f32_control(const double_pendulum_energy_f32_model *m
     float S[2], z[1];
     int status;
     double_pendulum_energy_f32_eval_S_z(model, in, S, z);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

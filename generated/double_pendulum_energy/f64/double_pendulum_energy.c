@@ -715,16 +715,6 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_psi(const d
     psi[0] = t17;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
-static int double_pendulum_energy_checked_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
-{
-    double_pendulum_energy_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_energy_finite(psi, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
@@ -735,19 +725,6 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S(const dou
     S[1] = t0;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
-static int double_pendulum_energy_checked_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
-{
-    if (!(double_pendulum_energy_finite(in->q, 2) && double_pendulum_energy_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
-    }
-    double_pendulum_energy_eval_S(model, in, S);
-
-    if (!(double_pendulum_energy_finite(S, 2))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
@@ -773,16 +750,6 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_z(const dou
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
-static int double_pendulum_energy_checked_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
-{
-    double_pendulum_energy_eval_z(model, in, z);
-
-    if (!(double_pendulum_energy_finite(z, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
@@ -812,16 +779,6 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S_z(const d
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_OK, or a negative status. */
-static int double_pendulum_energy_checked_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
-{
-    double_pendulum_energy_eval_S_z(model, in, S, z);
-
-    if (!(double_pendulum_energy_finite(S, 2) && double_pendulum_energy_finite(z, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_OK;
-}
 
 int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, double_pendulum_energy_model *model)
 {
@@ -900,47 +857,50 @@ int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, 
 int double_pendulum_energy_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
 {
     double new_psi[1];
-    const int status = double_pendulum_energy_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_energy_finite(new_psi, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     double_pendulum_energy_copy(new_psi, psi, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
 int double_pendulum_energy_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
     double new_S[2];
-    const int status = double_pendulum_energy_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(double_pendulum_energy_finite(in->q, 2) && double_pendulum_energy_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_ENERGY_NONFINITE;
+    }
+    double_pendulum_energy_eval_S(model, in, new_S);
+    if (!(double_pendulum_energy_finite(new_S, 2))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     double_pendulum_energy_copy(new_S, S, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
 int double_pendulum_energy_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
     double new_z[1];
-    const int status = double_pendulum_energy_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_eval_z(model, in, new_z);
+    if (!(double_pendulum_energy_finite(new_z, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     double_pendulum_energy_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
 int double_pendulum_energy_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
     double new_S[2];
     double new_z[1];
-    const int status = double_pendulum_energy_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_eval_S_z(model, in, new_S, new_z);
+    if (!(double_pendulum_energy_finite(new_S, 2) && double_pendulum_energy_finite(new_z, 1))) {
+        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
     }
     double_pendulum_energy_copy(new_S, S, 2);
     double_pendulum_energy_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
 const double_pendulum_energy_params double_pendulum_energy_params_default = {
@@ -962,7 +922,6 @@ int double_pendulum_energy_control(const double_pendulum_energy_model *model, co
     double S[2], z[1];
     int status;
     double_pendulum_energy_eval_S_z(model, in, S, z);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

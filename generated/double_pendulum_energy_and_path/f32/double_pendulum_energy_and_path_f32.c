@@ -1329,16 +1329,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     psi[1] = t20;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK, or a negative status. */
-static int double_pendulum_energy_and_path_f32_checked_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
-{
-    double_pendulum_energy_and_path_f32_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_energy_and_path_f32_finite(psi, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
@@ -1370,25 +1360,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK, or a negative status. */
-static int double_pendulum_energy_and_path_f32_checked_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S)
-{
-    float mass_pivot[1], mass_scale[1];
-    int status;
-    if (!(double_pendulum_energy_and_path_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
-    }
-    double_pendulum_energy_and_path_f32_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_f32_finite(S, 4))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -1453,22 +1424,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK, or a negative status. */
-static int double_pendulum_energy_and_path_f32_checked_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z)
-{
-    float mass_pivot[1], mass_scale[1];
-    int status;
-    double_pendulum_energy_and_path_f32_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_f32_finite(z, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -1540,22 +1495,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK, or a negative status. */
-static int double_pendulum_energy_and_path_f32_checked_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z)
-{
-    float mass_pivot[1], mass_scale[1];
-    int status;
-    double_pendulum_energy_and_path_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_f32_finite(S, 4) && double_pendulum_energy_and_path_f32_finite(z, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
-}
 
 int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and_path_f32_params *params, double_pendulum_energy_and_path_f32_model *model)
 {
@@ -1650,47 +1589,68 @@ int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and
 int double_pendulum_energy_and_path_f32_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
 {
     float new_psi[2];
-    const int status = double_pendulum_energy_and_path_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_and_path_f32_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_energy_and_path_f32_finite(new_psi, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     double_pendulum_energy_and_path_f32_copy(new_psi, psi, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
 int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S)
 {
     float new_S[4];
-    const int status = double_pendulum_energy_and_path_f32_checked_S(model, in, new_S);
+    float mass_pivot[1], mass_scale[1];
+    int status;
+    if (!(double_pendulum_energy_and_path_f32_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
+    }
+    double_pendulum_energy_and_path_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     double_pendulum_energy_and_path_f32_copy(new_S, S, 4);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
 int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z)
 {
     float new_z[2];
-    const int status = double_pendulum_energy_and_path_f32_checked_z(model, in, new_z);
+    float mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     double_pendulum_energy_and_path_f32_copy(new_z, z, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
 int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z)
 {
     float new_S[4];
     float new_z[2];
-    const int status = double_pendulum_energy_and_path_f32_checked_S_z(model, in, new_S, new_z);
+    float mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_f32_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4) && double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
+        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
     }
     double_pendulum_energy_and_path_f32_copy(new_S, S, 4);
     double_pendulum_energy_and_path_f32_copy(new_z, z, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
 const double_pendulum_energy_and_path_f32_params double_pendulum_energy_and_path_f32_params_default = {
@@ -1717,7 +1677,6 @@ int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and
     if (status < 0) {
         return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

@@ -1363,16 +1363,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     psi[1] = t20;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_OK, or a negative status. */
-static int double_pendulum_energy_and_path_checked_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
-{
-    double_pendulum_energy_and_path_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_energy_and_path_finite(psi, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -1404,25 +1394,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_OK, or a negative status. */
-static int double_pendulum_energy_and_path_checked_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S)
-{
-    double mass_pivot[1], mass_scale[1];
-    int status;
-    if (!(double_pendulum_energy_and_path_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
-    }
-    double_pendulum_energy_and_path_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_finite(S, 4))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -1487,22 +1458,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_OK, or a negative status. */
-static int double_pendulum_energy_and_path_checked_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z)
-{
-    double mass_pivot[1], mass_scale[1];
-    int status;
-    double_pendulum_energy_and_path_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_finite(z, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -1574,22 +1529,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     mass_scale[0] = model->c5;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_AND_PATH_OK, or a negative status. */
-static int double_pendulum_energy_and_path_checked_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z)
-{
-    double mass_pivot[1], mass_scale[1];
-    int status;
-    double_pendulum_energy_and_path_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
-    if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
-    }
-
-    if (!(double_pendulum_energy_and_path_finite(S, 4) && double_pendulum_energy_and_path_finite(z, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
-}
 
 int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params, double_pendulum_energy_and_path_model *model)
 {
@@ -1684,47 +1623,68 @@ int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_pat
 int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
 {
     double new_psi[2];
-    const int status = double_pendulum_energy_and_path_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_and_path_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_energy_and_path_finite(new_psi, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     double_pendulum_energy_and_path_copy(new_psi, psi, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
 int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S)
 {
     double new_S[4];
-    const int status = double_pendulum_energy_and_path_checked_S(model, in, new_S);
+    double mass_pivot[1], mass_scale[1];
+    int status;
+    if (!(double_pendulum_energy_and_path_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
+    }
+    double_pendulum_energy_and_path_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_finite(new_S, 4))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     double_pendulum_energy_and_path_copy(new_S, S, 4);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
 int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z)
 {
     double new_z[2];
-    const int status = double_pendulum_energy_and_path_checked_z(model, in, new_z);
+    double mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_finite(new_z, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     double_pendulum_energy_and_path_copy(new_z, z, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
 int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z)
 {
     double new_S[4];
     double new_z[2];
-    const int status = double_pendulum_energy_and_path_checked_S_z(model, in, new_S, new_z);
+    double mass_pivot[1], mass_scale[1];
+    int status;
+    double_pendulum_energy_and_path_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return status;
+        return double_pendulum_energy_and_path_reason(in, status);
+    }
+    if (!(double_pendulum_energy_and_path_finite(new_S, 4) && double_pendulum_energy_and_path_finite(new_z, 2))) {
+        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
     }
     double_pendulum_energy_and_path_copy(new_S, S, 4);
     double_pendulum_energy_and_path_copy(new_z, z, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
 const double_pendulum_energy_and_path_params double_pendulum_energy_and_path_params_default = {
@@ -1751,7 +1711,6 @@ int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_pat
     if (status < 0) {
         return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

@@ -741,16 +741,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_ev
     psi[0] = t17;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
-static int double_pendulum_energy_free_y_checked_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
-{
-    double_pendulum_energy_free_y_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_energy_free_y_finite(psi, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
 {
@@ -761,19 +751,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_ev
     S[1] = t0;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
-static int double_pendulum_energy_free_y_checked_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
-{
-    if (!(double_pendulum_energy_free_y_finite(in->q, 2) && double_pendulum_energy_free_y_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
-    }
-    double_pendulum_energy_free_y_eval_S(model, in, S);
-
-    if (!(double_pendulum_energy_free_y_finite(S, 2))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
 {
@@ -799,16 +776,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_ev
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
-static int double_pendulum_energy_free_y_checked_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
-{
-    double_pendulum_energy_free_y_eval_z(model, in, z);
-
-    if (!(double_pendulum_energy_free_y_finite(z, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
 {
@@ -838,16 +805,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_ev
     z[0] = (-t17);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_ENERGY_FREE_Y_OK, or a negative status. */
-static int double_pendulum_energy_free_y_checked_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
-{
-    double_pendulum_energy_free_y_eval_S_z(model, in, S, z);
-
-    if (!(double_pendulum_energy_free_y_finite(S, 2) && double_pendulum_energy_free_y_finite(z, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-}
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL void double_pendulum_energy_free_y_eval_S_z_y(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z, double *y)
 {
@@ -1036,47 +993,50 @@ int double_pendulum_energy_free_y_prepare(const double_pendulum_energy_free_y_pa
 int double_pendulum_energy_free_y_psi(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *psi)
 {
     double new_psi[1];
-    const int status = double_pendulum_energy_free_y_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_free_y_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_energy_free_y_finite(new_psi, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     double_pendulum_energy_free_y_copy(new_psi, psi, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
 int double_pendulum_energy_free_y_S(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
 {
     double new_S[2];
-    const int status = double_pendulum_energy_free_y_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(double_pendulum_energy_free_y_finite(in->q, 2) && double_pendulum_energy_free_y_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
+    }
+    double_pendulum_energy_free_y_eval_S(model, in, new_S);
+    if (!(double_pendulum_energy_free_y_finite(new_S, 2))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     double_pendulum_energy_free_y_copy(new_S, S, 2);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
 int double_pendulum_energy_free_y_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
 {
     double new_z[1];
-    const int status = double_pendulum_energy_free_y_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_free_y_eval_z(model, in, new_z);
+    if (!(double_pendulum_energy_free_y_finite(new_z, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     double_pendulum_energy_free_y_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
 int double_pendulum_energy_free_y_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z)
 {
     double new_S[2];
     double new_z[1];
-    const int status = double_pendulum_energy_free_y_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    double_pendulum_energy_free_y_eval_S_z(model, in, new_S, new_z);
+    if (!(double_pendulum_energy_free_y_finite(new_S, 2) && double_pendulum_energy_free_y_finite(new_z, 1))) {
+        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
     }
     double_pendulum_energy_free_y_copy(new_S, S, 2);
     double_pendulum_energy_free_y_copy(new_z, z, 1);
-    return status;
+    return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
 const double_pendulum_energy_free_y_params double_pendulum_energy_free_y_params_default = {
@@ -1098,7 +1058,6 @@ int double_pendulum_energy_free_y_control(const double_pendulum_energy_free_y_mo
     double S[2], z[1], y[2];
     int status;
     double_pendulum_energy_free_y_eval_S_z_y(model, in, S, z, y);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_free_y_solve_core(S, z, y, tau, info);
     if (status < 0) {

@@ -1424,16 +1424,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_psi(c
     psi[0] = t21;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
-static int double_pendulum_ideal_f32_checked_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
-{
-    double_pendulum_ideal_f32_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_ideal_f32_finite(psi, 1))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_F32_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
 {
@@ -1458,19 +1448,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_T(con
     T[3] = t8;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
-static int double_pendulum_ideal_f32_checked_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
-{
-    if (!(double_pendulum_ideal_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
-    }
-    double_pendulum_ideal_f32_eval_T(model, in, T);
-
-    if (!(double_pendulum_ideal_f32_finite(T, 4))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_F32_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
 {
@@ -1522,16 +1499,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_F(con
     F[1] = (-t42);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
-static int double_pendulum_ideal_f32_checked_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
-{
-    double_pendulum_ideal_f32_eval_F(model, in, F);
-
-    if (!(double_pendulum_ideal_f32_finite(F, 2))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_F32_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix, float *reaction_right, float *J)
 {
@@ -1572,7 +1539,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_react
 static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix, float *reaction_right, float *J)
 {
     double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
-
     if (!(double_pendulum_ideal_f32_finite(reaction_right, 1) && double_pendulum_ideal_f32_finite(J, 2))) {
         return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
@@ -1660,34 +1626,37 @@ int double_pendulum_ideal_f32_prepare(const double_pendulum_ideal_f32_params *pa
 int double_pendulum_ideal_f32_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
 {
     float new_psi[1];
-    const int status = double_pendulum_ideal_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_ideal_f32_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_ideal_f32_finite(new_psi, 1))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     double_pendulum_ideal_f32_copy(new_psi, psi, 1);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
 int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
 {
     float new_T[4];
-    const int status = double_pendulum_ideal_f32_checked_T(model, in, new_T);
-    if (status < 0) {
-        return status;
+    if (!(double_pendulum_ideal_f32_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
+    }
+    double_pendulum_ideal_f32_eval_T(model, in, new_T);
+    if (!(double_pendulum_ideal_f32_finite(new_T, 4))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     double_pendulum_ideal_f32_copy(new_T, T, 4);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
 int double_pendulum_ideal_f32_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
 {
     float new_F[2];
-    const int status = double_pendulum_ideal_f32_checked_F(model, in, new_F);
-    if (status < 0) {
-        return status;
+    double_pendulum_ideal_f32_eval_F(model, in, new_F);
+    if (!(double_pendulum_ideal_f32_finite(new_F, 2))) {
+        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
     }
     double_pendulum_ideal_f32_copy(new_F, F, 2);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
 const double_pendulum_ideal_f32_params double_pendulum_ideal_f32_params_default = {

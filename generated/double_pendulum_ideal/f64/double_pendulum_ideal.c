@@ -1458,16 +1458,6 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_psi(const dou
     psi[0] = t21;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
-static int double_pendulum_ideal_checked_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
-{
-    double_pendulum_ideal_eval_psi(model, in, psi);
-
-    if (!(double_pendulum_ideal_finite(psi, 1))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
 {
@@ -1492,19 +1482,6 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_T(const doubl
     T[3] = t8;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
-static int double_pendulum_ideal_checked_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
-{
-    if (!(double_pendulum_ideal_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
-    }
-    double_pendulum_ideal_eval_T(model, in, T);
-
-    if (!(double_pendulum_ideal_finite(T, 4))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
 {
@@ -1556,16 +1533,6 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_F(const doubl
     F[1] = (-t42);
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
-static int double_pendulum_ideal_checked_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
-{
-    double_pendulum_ideal_eval_F(model, in, F);
-
-    if (!(double_pendulum_ideal_finite(F, 2))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
-    }
-    return DOUBLE_PENDULUM_IDEAL_OK;
-}
 
 static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
 {
@@ -1606,7 +1573,6 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_reaction_matr
 static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
 {
     double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
-
     if (!(double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
         return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
@@ -1694,34 +1660,37 @@ int double_pendulum_ideal_prepare(const double_pendulum_ideal_params *params, do
 int double_pendulum_ideal_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
 {
     double new_psi[1];
-    const int status = double_pendulum_ideal_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    double_pendulum_ideal_eval_psi(model, in, new_psi);
+    if (!(double_pendulum_ideal_finite(new_psi, 1))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     double_pendulum_ideal_copy(new_psi, psi, 1);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
 int double_pendulum_ideal_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
 {
     double new_T[4];
-    const int status = double_pendulum_ideal_checked_T(model, in, new_T);
-    if (status < 0) {
-        return status;
+    if (!(double_pendulum_ideal_finite(&in->E_0, 1))) {
+        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
+    }
+    double_pendulum_ideal_eval_T(model, in, new_T);
+    if (!(double_pendulum_ideal_finite(new_T, 4))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     double_pendulum_ideal_copy(new_T, T, 4);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
 int double_pendulum_ideal_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
 {
     double new_F[2];
-    const int status = double_pendulum_ideal_checked_F(model, in, new_F);
-    if (status < 0) {
-        return status;
+    double_pendulum_ideal_eval_F(model, in, new_F);
+    if (!(double_pendulum_ideal_finite(new_F, 2))) {
+        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
     }
     double_pendulum_ideal_copy(new_F, F, 2);
-    return status;
+    return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
 const double_pendulum_ideal_params double_pendulum_ideal_params_default = {

@@ -1755,19 +1755,6 @@ static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_
     psi[5] = t183;
 }
 
-/* The same behind its checks: IIWA_POSE_F32_OK, or a negative status. */
-static int iiwa_pose_f32_checked_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
-{
-    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_F32_NONFINITE;
-    }
-    iiwa_pose_f32_eval_psi(model, in, psi);
-
-    if (!(iiwa_pose_f32_finite(psi, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
-    }
-    return IIWA_POSE_F32_OK;
-}
 
 static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
@@ -2928,25 +2915,6 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     mass_scale[4] = t1099;
 }
 
-/* The same behind its checks: IIWA_POSE_F32_OK, or a negative status. */
-static int iiwa_pose_f32_checked_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_F32_NONFINITE;
-    }
-    iiwa_pose_f32_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
-    }
-
-    if (!(iiwa_pose_f32_finite(S, 42))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
-    }
-    return IIWA_POSE_F32_OK;
-}
 
 static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -4622,22 +4590,6 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     mass_scale[4] = t1650;
 }
 
-/* The same behind its checks: IIWA_POSE_F32_OK, or a negative status. */
-static int iiwa_pose_f32_checked_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    iiwa_pose_f32_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
-    }
-
-    if (!(iiwa_pose_f32_finite(z, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
-    }
-    return IIWA_POSE_F32_OK;
-}
 
 static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -6416,22 +6368,6 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     mass_scale[4] = t1710;
 }
 
-/* The same behind its checks: IIWA_POSE_F32_OK, or a negative status. */
-static int iiwa_pose_f32_checked_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    iiwa_pose_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
-    }
-
-    if (!(iiwa_pose_f32_finite(S, 42) && iiwa_pose_f32_finite(z, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
-    }
-    return IIWA_POSE_F32_OK;
-}
 
 int iiwa_pose_f32_prepare(const iiwa_pose_f32_params *params, iiwa_pose_f32_model *model)
 {
@@ -6447,47 +6383,71 @@ int iiwa_pose_f32_prepare(const iiwa_pose_f32_params *params, iiwa_pose_f32_mode
 int iiwa_pose_f32_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
 {
     float new_psi[6];
-    const int status = iiwa_pose_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
+        return IIWA_POSE_F32_NONFINITE;
+    }
+    iiwa_pose_f32_eval_psi(model, in, new_psi);
+    if (!(iiwa_pose_f32_finite(new_psi, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     iiwa_pose_f32_copy(new_psi, psi, 6);
-    return status;
+    return IIWA_POSE_F32_OK;
 }
 
 int iiwa_pose_f32_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S)
 {
     float new_S[42];
-    const int status = iiwa_pose_f32_checked_S(model, in, new_S);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
+        return IIWA_POSE_F32_NONFINITE;
+    }
+    iiwa_pose_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
+    }
+    if (!(iiwa_pose_f32_finite(new_S, 42))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     iiwa_pose_f32_copy(new_S, S, 42);
-    return status;
+    return IIWA_POSE_F32_OK;
 }
 
 int iiwa_pose_f32_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z)
 {
     float new_z[6];
-    const int status = iiwa_pose_f32_checked_z(model, in, new_z);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
+    }
+    if (!(iiwa_pose_f32_finite(new_z, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     iiwa_pose_f32_copy(new_z, z, 6);
-    return status;
+    return IIWA_POSE_F32_OK;
 }
 
 int iiwa_pose_f32_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z)
 {
     float new_S[42];
     float new_z[6];
-    const int status = iiwa_pose_f32_checked_S_z(model, in, new_S, new_z);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_f32_reason(in, status);
+    }
+    if (!(iiwa_pose_f32_finite(new_S, 42) && iiwa_pose_f32_finite(new_z, 6))) {
+        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
     }
     iiwa_pose_f32_copy(new_S, S, 42);
     iiwa_pose_f32_copy(new_z, z, 6);
-    return status;
+    return IIWA_POSE_F32_OK;
 }
 
 const iiwa_pose_f32_params iiwa_pose_f32_params_default = { 0 };
@@ -6507,7 +6467,6 @@ int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_
     if (status < 0) {
         return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

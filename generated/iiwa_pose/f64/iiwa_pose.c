@@ -1789,19 +1789,6 @@ static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_inp
     psi[5] = t183;
 }
 
-/* The same behind its checks: IIWA_POSE_OK, or a negative status. */
-static int iiwa_pose_checked_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, double *psi)
-{
-    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_NONFINITE;
-    }
-    iiwa_pose_eval_psi(model, in, psi);
-
-    if (!(iiwa_pose_finite(psi, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
-    }
-    return IIWA_POSE_OK;
-}
 
 static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -2962,25 +2949,6 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     mass_scale[4] = t1099;
 }
 
-/* The same behind its checks: IIWA_POSE_OK, or a negative status. */
-static int iiwa_pose_checked_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_NONFINITE;
-    }
-    iiwa_pose_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_reason(in, status);
-    }
-
-    if (!(iiwa_pose_finite(S, 42))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
-    }
-    return IIWA_POSE_OK;
-}
 
 static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -4656,22 +4624,6 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     mass_scale[4] = t1650;
 }
 
-/* The same behind its checks: IIWA_POSE_OK, or a negative status. */
-static int iiwa_pose_checked_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    iiwa_pose_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_reason(in, status);
-    }
-
-    if (!(iiwa_pose_finite(z, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
-    }
-    return IIWA_POSE_OK;
-}
 
 static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -6450,22 +6402,6 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     mass_scale[4] = t1710;
 }
 
-/* The same behind its checks: IIWA_POSE_OK, or a negative status. */
-static int iiwa_pose_checked_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    iiwa_pose_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_pose_reason(in, status);
-    }
-
-    if (!(iiwa_pose_finite(S, 42) && iiwa_pose_finite(z, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
-    }
-    return IIWA_POSE_OK;
-}
 
 int iiwa_pose_prepare(const iiwa_pose_params *params, iiwa_pose_model *model)
 {
@@ -6481,47 +6417,71 @@ int iiwa_pose_prepare(const iiwa_pose_params *params, iiwa_pose_model *model)
 int iiwa_pose_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, double *psi)
 {
     double new_psi[6];
-    const int status = iiwa_pose_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
+        return IIWA_POSE_NONFINITE;
+    }
+    iiwa_pose_eval_psi(model, in, new_psi);
+    if (!(iiwa_pose_finite(new_psi, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     iiwa_pose_copy(new_psi, psi, 6);
-    return status;
+    return IIWA_POSE_OK;
 }
 
 int iiwa_pose_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S)
 {
     double new_S[42];
-    const int status = iiwa_pose_checked_S(model, in, new_S);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
+        return IIWA_POSE_NONFINITE;
+    }
+    iiwa_pose_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
+    }
+    if (!(iiwa_pose_finite(new_S, 42))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     iiwa_pose_copy(new_S, S, 42);
-    return status;
+    return IIWA_POSE_OK;
 }
 
 int iiwa_pose_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z)
 {
     double new_z[6];
-    const int status = iiwa_pose_checked_z(model, in, new_z);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
+    }
+    if (!(iiwa_pose_finite(new_z, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     iiwa_pose_copy(new_z, z, 6);
-    return status;
+    return IIWA_POSE_OK;
 }
 
 int iiwa_pose_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z)
 {
     double new_S[42];
     double new_z[6];
-    const int status = iiwa_pose_checked_S_z(model, in, new_S, new_z);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    iiwa_pose_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_pose_reason(in, status);
+    }
+    if (!(iiwa_pose_finite(new_S, 42) && iiwa_pose_finite(new_z, 6))) {
+        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
     }
     iiwa_pose_copy(new_S, S, 42);
     iiwa_pose_copy(new_z, z, 6);
-    return status;
+    return IIWA_POSE_OK;
 }
 
 const iiwa_pose_params iiwa_pose_params_default = { 0 };
@@ -6541,7 +6501,6 @@ int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, d
     if (status < 0) {
         return iiwa_pose_refuse(iiwa_pose_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

@@ -1493,19 +1493,6 @@ static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, con
     psi[2] = t78;
 }
 
-/* The same behind its checks: IIWA_POSITION_F32_OK, or a negative status. */
-static int iiwa_position_f32_checked_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
-{
-    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_F32_NONFINITE;
-    }
-    iiwa_position_f32_eval_psi(model, in, psi);
-
-    if (!(iiwa_position_f32_finite(psi, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
-    }
-    return IIWA_POSITION_F32_OK;
-}
 
 static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
@@ -2185,25 +2172,6 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     mass_scale[4] = t639;
 }
 
-/* The same behind its checks: IIWA_POSITION_F32_OK, or a negative status. */
-static int iiwa_position_f32_checked_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_F32_NONFINITE;
-    }
-    iiwa_position_f32_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
-    }
-
-    if (!(iiwa_position_f32_finite(S, 21))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
-    }
-    return IIWA_POSITION_F32_OK;
-}
 
 static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -3277,25 +3245,6 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     mass_scale[4] = t1051;
 }
 
-/* The same behind its checks: IIWA_POSITION_F32_OK, or a negative status. */
-static int iiwa_position_f32_checked_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_F32_NONFINITE;
-    }
-    iiwa_position_f32_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
-    }
-
-    if (!(iiwa_position_f32_finite(z, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
-    }
-    return IIWA_POSITION_F32_OK;
-}
 
 static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -4418,25 +4367,6 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     mass_scale[4] = t1078;
 }
 
-/* The same behind its checks: IIWA_POSITION_F32_OK, or a negative status. */
-static int iiwa_position_f32_checked_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *z)
-{
-    float mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_F32_NONFINITE;
-    }
-    iiwa_position_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
-    }
-
-    if (!(iiwa_position_f32_finite(S, 21) && iiwa_position_f32_finite(z, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
-    }
-    return IIWA_POSITION_F32_OK;
-}
 
 int iiwa_position_f32_prepare(const iiwa_position_f32_params *params, iiwa_position_f32_model *model)
 {
@@ -4452,47 +4382,77 @@ int iiwa_position_f32_prepare(const iiwa_position_f32_params *params, iiwa_posit
 int iiwa_position_f32_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
 {
     float new_psi[3];
-    const int status = iiwa_position_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
+        return IIWA_POSITION_F32_NONFINITE;
+    }
+    iiwa_position_f32_eval_psi(model, in, new_psi);
+    if (!(iiwa_position_f32_finite(new_psi, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     iiwa_position_f32_copy(new_psi, psi, 3);
-    return status;
+    return IIWA_POSITION_F32_OK;
 }
 
 int iiwa_position_f32_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S)
 {
     float new_S[21];
-    const int status = iiwa_position_f32_checked_S(model, in, new_S);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
+        return IIWA_POSITION_F32_NONFINITE;
+    }
+    iiwa_position_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
+    }
+    if (!(iiwa_position_f32_finite(new_S, 21))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     iiwa_position_f32_copy(new_S, S, 21);
-    return status;
+    return IIWA_POSITION_F32_OK;
 }
 
 int iiwa_position_f32_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z)
 {
     float new_z[3];
-    const int status = iiwa_position_f32_checked_z(model, in, new_z);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
+        return IIWA_POSITION_F32_NONFINITE;
+    }
+    iiwa_position_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
+    }
+    if (!(iiwa_position_f32_finite(new_z, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     iiwa_position_f32_copy(new_z, z, 3);
-    return status;
+    return IIWA_POSITION_F32_OK;
 }
 
 int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *z)
 {
     float new_S[21];
     float new_z[3];
-    const int status = iiwa_position_f32_checked_S_z(model, in, new_S, new_z);
+    float mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
+        return IIWA_POSITION_F32_NONFINITE;
+    }
+    iiwa_position_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_f32_reason(in, status);
+    }
+    if (!(iiwa_position_f32_finite(new_S, 21) && iiwa_position_f32_finite(new_z, 3))) {
+        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
     }
     iiwa_position_f32_copy(new_S, S, 21);
     iiwa_position_f32_copy(new_z, z, 3);
-    return status;
+    return IIWA_POSITION_F32_OK;
 }
 
 const iiwa_position_f32_params iiwa_position_f32_params_default = { 0 };
@@ -4515,7 +4475,6 @@ int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_p
     if (status < 0) {
         return iiwa_position_f32_refuse(iiwa_position_f32_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

@@ -1527,19 +1527,6 @@ static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_
     psi[2] = t78;
 }
 
-/* The same behind its checks: IIWA_POSITION_OK, or a negative status. */
-static int iiwa_position_checked_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
-{
-    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_NONFINITE;
-    }
-    iiwa_position_eval_psi(model, in, psi);
-
-    if (!(iiwa_position_finite(psi, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
-    }
-    return IIWA_POSITION_OK;
-}
 
 static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -2219,25 +2206,6 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     mass_scale[4] = t639;
 }
 
-/* The same behind its checks: IIWA_POSITION_OK, or a negative status. */
-static int iiwa_position_checked_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_NONFINITE;
-    }
-    iiwa_position_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_reason(in, status);
-    }
-
-    if (!(iiwa_position_finite(S, 21))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
-    }
-    return IIWA_POSITION_OK;
-}
 
 static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -3311,25 +3279,6 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     mass_scale[4] = t1051;
 }
 
-/* The same behind its checks: IIWA_POSITION_OK, or a negative status. */
-static int iiwa_position_checked_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_NONFINITE;
-    }
-    iiwa_position_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_reason(in, status);
-    }
-
-    if (!(iiwa_position_finite(z, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
-    }
-    return IIWA_POSITION_OK;
-}
 
 static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -4452,25 +4401,6 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     mass_scale[4] = t1078;
 }
 
-/* The same behind its checks: IIWA_POSITION_OK, or a negative status. */
-static int iiwa_position_checked_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z)
-{
-    double mass_pivot[5], mass_scale[5];
-    int status;
-    if (!(iiwa_position_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_NONFINITE;
-    }
-    iiwa_position_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
-    if (status < 0) {
-        return iiwa_position_reason(in, status);
-    }
-
-    if (!(iiwa_position_finite(S, 21) && iiwa_position_finite(z, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
-    }
-    return IIWA_POSITION_OK;
-}
 
 int iiwa_position_prepare(const iiwa_position_params *params, iiwa_position_model *model)
 {
@@ -4486,47 +4416,77 @@ int iiwa_position_prepare(const iiwa_position_params *params, iiwa_position_mode
 int iiwa_position_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
 {
     double new_psi[3];
-    const int status = iiwa_position_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
+        return IIWA_POSITION_NONFINITE;
+    }
+    iiwa_position_eval_psi(model, in, new_psi);
+    if (!(iiwa_position_finite(new_psi, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     iiwa_position_copy(new_psi, psi, 3);
-    return status;
+    return IIWA_POSITION_OK;
 }
 
 int iiwa_position_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S)
 {
     double new_S[21];
-    const int status = iiwa_position_checked_S(model, in, new_S);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
+        return IIWA_POSITION_NONFINITE;
+    }
+    iiwa_position_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
+    }
+    if (!(iiwa_position_finite(new_S, 21))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     iiwa_position_copy(new_S, S, 21);
-    return status;
+    return IIWA_POSITION_OK;
 }
 
 int iiwa_position_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z)
 {
     double new_z[3];
-    const int status = iiwa_position_checked_z(model, in, new_z);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_finite(in->q + 6, 1))) {
+        return IIWA_POSITION_NONFINITE;
+    }
+    iiwa_position_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
+    }
+    if (!(iiwa_position_finite(new_z, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     iiwa_position_copy(new_z, z, 3);
-    return status;
+    return IIWA_POSITION_OK;
 }
 
 int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z)
 {
     double new_S[21];
     double new_z[3];
-    const int status = iiwa_position_checked_S_z(model, in, new_S, new_z);
+    double mass_pivot[5], mass_scale[5];
+    int status;
+    if (!(iiwa_position_finite(in->q + 6, 1))) {
+        return IIWA_POSITION_NONFINITE;
+    }
+    iiwa_position_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return status;
+        return iiwa_position_reason(in, status);
+    }
+    if (!(iiwa_position_finite(new_S, 21) && iiwa_position_finite(new_z, 3))) {
+        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
     }
     iiwa_position_copy(new_S, S, 21);
     iiwa_position_copy(new_z, z, 3);
-    return status;
+    return IIWA_POSITION_OK;
 }
 
 const iiwa_position_params iiwa_position_params_default = { 0 };
@@ -4549,7 +4509,6 @@ int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_
     if (status < 0) {
         return iiwa_position_refuse(iiwa_position_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

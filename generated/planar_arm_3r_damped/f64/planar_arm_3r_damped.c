@@ -1327,19 +1327,6 @@ static PLANAR_ARM_3R_DAMPED_SMALL void planar_arm_3r_damped_eval_psi(const plana
     psi[1] = t16;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
-static int planar_arm_3r_damped_checked_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
-{
-    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
-    }
-    planar_arm_3r_damped_eval_psi(model, in, psi);
-
-    if (!(planar_arm_3r_damped_finite(psi, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_DAMPED_OK;
-}
 
 static void planar_arm_3r_damped_eval_S(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -1476,25 +1463,6 @@ static void planar_arm_3r_damped_eval_S(const planar_arm_3r_damped_model *model,
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
-static int planar_arm_3r_damped_checked_S(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r, 2) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
-    }
-    planar_arm_3r_damped_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_damped_finite(S, 6))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_DAMPED_OK;
-}
 
 static void planar_arm_3r_damped_eval_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -1760,22 +1728,6 @@ static void planar_arm_3r_damped_eval_z(const planar_arm_3r_damped_model *model,
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
-static int planar_arm_3r_damped_checked_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *z)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_damped_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_damped_finite(z, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_DAMPED_OK;
-}
 
 static void planar_arm_3r_damped_eval_S_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -2048,22 +2000,6 @@ static void planar_arm_3r_damped_eval_S_z(const planar_arm_3r_damped_model *mode
     mass_scale[2] = model->c8;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_DAMPED_OK, or a negative status. */
-static int planar_arm_3r_damped_checked_S_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_damped_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_damped_finite(S, 6) && planar_arm_3r_damped_finite(z, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_DAMPED_OK;
-}
 
 static void planar_arm_3r_damped_eval_S_z_y(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z, double *y, double *mass_pivot, double *mass_scale)
 {
@@ -2452,47 +2388,71 @@ int planar_arm_3r_damped_prepare(const planar_arm_3r_damped_params *params, plan
 int planar_arm_3r_damped_psi(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *psi)
 {
     double new_psi[2];
-    const int status = planar_arm_3r_damped_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_DAMPED_NONFINITE;
+    }
+    planar_arm_3r_damped_eval_psi(model, in, new_psi);
+    if (!(planar_arm_3r_damped_finite(new_psi, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     planar_arm_3r_damped_copy(new_psi, psi, 2);
-    return status;
+    return PLANAR_ARM_3R_DAMPED_OK;
 }
 
 int planar_arm_3r_damped_S(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S)
 {
     double new_S[6];
-    const int status = planar_arm_3r_damped_checked_S(model, in, new_S);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r, 2) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_DAMPED_NONFINITE;
+    }
+    planar_arm_3r_damped_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
+    }
+    if (!(planar_arm_3r_damped_finite(new_S, 6))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     planar_arm_3r_damped_copy(new_S, S, 6);
-    return status;
+    return PLANAR_ARM_3R_DAMPED_OK;
 }
 
 int planar_arm_3r_damped_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *z)
 {
     double new_z[2];
-    const int status = planar_arm_3r_damped_checked_z(model, in, new_z);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_damped_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
+    }
+    if (!(planar_arm_3r_damped_finite(new_z, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     planar_arm_3r_damped_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_DAMPED_OK;
 }
 
 int planar_arm_3r_damped_S_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z)
 {
     double new_S[6];
     double new_z[2];
-    const int status = planar_arm_3r_damped_checked_S_z(model, in, new_S, new_z);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_damped_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_damped_reason(in, status);
+    }
+    if (!(planar_arm_3r_damped_finite(new_S, 6) && planar_arm_3r_damped_finite(new_z, 2))) {
+        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
     }
     planar_arm_3r_damped_copy(new_S, S, 6);
     planar_arm_3r_damped_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_DAMPED_OK;
 }
 
 const planar_arm_3r_damped_params planar_arm_3r_damped_params_default = {
@@ -2516,7 +2476,6 @@ int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const 
     if (status < 0) {
         return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_damped_solve_core(S, z, y, tau, info);
     if (status < 0) {

@@ -1293,19 +1293,6 @@ static PLANAR_ARM_3R_WEIGHTED_F32_SMALL void planar_arm_3r_weighted_f32_eval_psi
     psi[1] = t16;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
-static int planar_arm_3r_weighted_f32_checked_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
-{
-    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
-    }
-    planar_arm_3r_weighted_f32_eval_psi(model, in, psi);
-
-    if (!(planar_arm_3r_weighted_f32_finite(psi, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-}
 
 static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
@@ -1450,25 +1437,6 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     mass_scale[2] = t88;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
-static int planar_arm_3r_weighted_f32_checked_S(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S)
-{
-    float mass_pivot[3], mass_scale[3];
-    int status;
-    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
-    }
-    planar_arm_3r_weighted_f32_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_f32_finite(S, 6))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-}
 
 static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -1777,22 +1745,6 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     mass_scale[2] = t104;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
-static int planar_arm_3r_weighted_f32_checked_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *z)
-{
-    float mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_weighted_f32_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_f32_finite(z, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-}
 
 static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
@@ -2108,22 +2060,6 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     mass_scale[2] = t104;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_F32_OK, or a negative status. */
-static int planar_arm_3r_weighted_f32_checked_S_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *z)
-{
-    float mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_weighted_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_f32_finite(S, 6) && planar_arm_3r_weighted_f32_finite(z, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
-}
 
 static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S_w, float *z, float *recover, float *mass_pivot, float *mass_scale)
 {
@@ -2615,47 +2551,71 @@ int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *
 int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
 {
     float new_psi[2];
-    const int status = planar_arm_3r_weighted_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
+    }
+    planar_arm_3r_weighted_f32_eval_psi(model, in, new_psi);
+    if (!(planar_arm_3r_weighted_f32_finite(new_psi, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     planar_arm_3r_weighted_f32_copy(new_psi, psi, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
 int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S)
 {
     float new_S[6];
-    const int status = planar_arm_3r_weighted_f32_checked_S(model, in, new_S);
+    float mass_pivot[3], mass_scale[3];
+    int status;
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
+    }
+    planar_arm_3r_weighted_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_f32_finite(new_S, 6))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     planar_arm_3r_weighted_f32_copy(new_S, S, 6);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
 int planar_arm_3r_weighted_f32_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *z)
 {
     float new_z[2];
-    const int status = planar_arm_3r_weighted_f32_checked_z(model, in, new_z);
+    float mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_weighted_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_f32_finite(new_z, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     planar_arm_3r_weighted_f32_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
 int planar_arm_3r_weighted_f32_S_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *z)
 {
     float new_S[6];
     float new_z[2];
-    const int status = planar_arm_3r_weighted_f32_checked_S_z(model, in, new_S, new_z);
+    float mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_weighted_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_f32_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_f32_finite(new_S, 6) && planar_arm_3r_weighted_f32_finite(new_z, 2))) {
+        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
     }
     planar_arm_3r_weighted_f32_copy(new_S, S, 6);
     planar_arm_3r_weighted_f32_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
 const planar_arm_3r_weighted_f32_params planar_arm_3r_weighted_f32_params_default = {
@@ -2680,7 +2640,6 @@ int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *m
     if (status < 0) {
         return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_f32_solve_core(S_w, z, NULL, sigma, info);
     if (status < 0) {

@@ -1327,19 +1327,6 @@ static PLANAR_ARM_3R_WEIGHTED_SMALL void planar_arm_3r_weighted_eval_psi(const p
     psi[1] = t16;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_OK, or a negative status. */
-static int planar_arm_3r_weighted_checked_psi(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *psi)
-{
-    if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
-    }
-    planar_arm_3r_weighted_eval_psi(model, in, psi);
-
-    if (!(planar_arm_3r_weighted_finite(psi, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_OK;
-}
 
 static void planar_arm_3r_weighted_eval_S(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -1484,25 +1471,6 @@ static void planar_arm_3r_weighted_eval_S(const planar_arm_3r_weighted_model *mo
     mass_scale[2] = t88;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_OK, or a negative status. */
-static int planar_arm_3r_weighted_checked_S(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r, 2) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
-    }
-    planar_arm_3r_weighted_eval_S(model, in, S, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_finite(S, 6))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_OK;
-}
 
 static void planar_arm_3r_weighted_eval_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -1811,22 +1779,6 @@ static void planar_arm_3r_weighted_eval_z(const planar_arm_3r_weighted_model *mo
     mass_scale[2] = t104;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_OK, or a negative status. */
-static int planar_arm_3r_weighted_checked_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *z)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_weighted_eval_z(model, in, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_finite(z, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_OK;
-}
 
 static void planar_arm_3r_weighted_eval_S_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
 {
@@ -2142,22 +2094,6 @@ static void planar_arm_3r_weighted_eval_S_z(const planar_arm_3r_weighted_model *
     mass_scale[2] = t104;
 }
 
-/* The same behind its checks: PLANAR_ARM_3R_WEIGHTED_OK, or a negative status. */
-static int planar_arm_3r_weighted_checked_S_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S, double *z)
-{
-    double mass_pivot[3], mass_scale[3];
-    int status;
-    planar_arm_3r_weighted_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
-    if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
-    }
-
-    if (!(planar_arm_3r_weighted_finite(S, 6) && planar_arm_3r_weighted_finite(z, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
-    }
-    return PLANAR_ARM_3R_WEIGHTED_OK;
-}
 
 static void planar_arm_3r_weighted_eval_S_w_z_recover(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S_w, double *z, double *recover, double *mass_pivot, double *mass_scale)
 {
@@ -2649,47 +2585,71 @@ int planar_arm_3r_weighted_prepare(const planar_arm_3r_weighted_params *params, 
 int planar_arm_3r_weighted_psi(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *psi)
 {
     double new_psi[2];
-    const int status = planar_arm_3r_weighted_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
+    }
+    planar_arm_3r_weighted_eval_psi(model, in, new_psi);
+    if (!(planar_arm_3r_weighted_finite(new_psi, 2))) {
+        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
     }
     planar_arm_3r_weighted_copy(new_psi, psi, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_OK;
 }
 
 int planar_arm_3r_weighted_S(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S)
 {
     double new_S[6];
-    const int status = planar_arm_3r_weighted_checked_S(model, in, new_S);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r, 2) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
+        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
+    }
+    planar_arm_3r_weighted_eval_S(model, in, new_S, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_finite(new_S, 6))) {
+        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
     }
     planar_arm_3r_weighted_copy(new_S, S, 6);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_OK;
 }
 
 int planar_arm_3r_weighted_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *z)
 {
     double new_z[2];
-    const int status = planar_arm_3r_weighted_checked_z(model, in, new_z);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_weighted_eval_z(model, in, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_finite(new_z, 2))) {
+        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
     }
     planar_arm_3r_weighted_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_OK;
 }
 
 int planar_arm_3r_weighted_S_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S, double *z)
 {
     double new_S[6];
     double new_z[2];
-    const int status = planar_arm_3r_weighted_checked_S_z(model, in, new_S, new_z);
+    double mass_pivot[3], mass_scale[3];
+    int status;
+    planar_arm_3r_weighted_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
+    status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return status;
+        return planar_arm_3r_weighted_reason(in, status);
+    }
+    if (!(planar_arm_3r_weighted_finite(new_S, 6) && planar_arm_3r_weighted_finite(new_z, 2))) {
+        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
     }
     planar_arm_3r_weighted_copy(new_S, S, 6);
     planar_arm_3r_weighted_copy(new_z, z, 2);
-    return status;
+    return PLANAR_ARM_3R_WEIGHTED_OK;
 }
 
 const planar_arm_3r_weighted_params planar_arm_3r_weighted_params_default = {
@@ -2714,7 +2674,6 @@ int planar_arm_3r_weighted_control(const planar_arm_3r_weighted_model *model, co
     if (status < 0) {
         return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(in, status), info);
     }
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_solve_core(S_w, z, NULL, sigma, info);
     if (status < 0) {

@@ -1258,19 +1258,6 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_psi(const
     psi[2] = in->u[2];
 }
 
-/* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
-static int quaternion_pointing_f32_checked_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
-{
-    if (!(quaternion_pointing_f32_finite(in->u, 2))) {
-        return QUATERNION_POINTING_F32_NONFINITE;
-    }
-    quaternion_pointing_f32_eval_psi(model, in, psi);
-
-    if (!(quaternion_pointing_f32_finite(psi, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
-    }
-    return QUATERNION_POINTING_F32_OK;
-}
 
 static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
@@ -1306,19 +1293,6 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S(const q
     S[8] = model->c2;
 }
 
-/* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
-static int quaternion_pointing_f32_checked_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
-{
-    if (!(quaternion_pointing_f32_finite(in->u, 3))) {
-        return QUATERNION_POINTING_F32_NONFINITE;
-    }
-    quaternion_pointing_f32_eval_S(model, in, S);
-
-    if (!(quaternion_pointing_f32_finite(S, 9))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
-    }
-    return QUATERNION_POINTING_F32_OK;
-}
 
 static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
 {
@@ -1387,16 +1361,6 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const q
     z[2] = t58;
 }
 
-/* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
-static int quaternion_pointing_f32_checked_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
-{
-    quaternion_pointing_f32_eval_z(model, in, z);
-
-    if (!(quaternion_pointing_f32_finite(z, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
-    }
-    return QUATERNION_POINTING_F32_OK;
-}
 
 static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
 {
@@ -1481,16 +1445,6 @@ static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model
     z[2] = t64;
 }
 
-/* The same behind its checks: QUATERNION_POINTING_F32_OK, or a negative status. */
-static int quaternion_pointing_f32_checked_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
-{
-    quaternion_pointing_f32_eval_S_z(model, in, S, z);
-
-    if (!(quaternion_pointing_f32_finite(S, 9) && quaternion_pointing_f32_finite(z, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
-    }
-    return QUATERNION_POINTING_F32_OK;
-}
 
 int quaternion_pointing_f32_prepare(const quaternion_pointing_f32_params *params, quaternion_pointing_f32_model *model)
 {
@@ -1572,47 +1526,53 @@ int quaternion_pointing_f32_prepare(const quaternion_pointing_f32_params *params
 int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
 {
     float new_psi[3];
-    const int status = quaternion_pointing_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(quaternion_pointing_f32_finite(in->u, 2))) {
+        return QUATERNION_POINTING_F32_NONFINITE;
+    }
+    quaternion_pointing_f32_eval_psi(model, in, new_psi);
+    if (!(quaternion_pointing_f32_finite(new_psi, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     quaternion_pointing_f32_copy(new_psi, psi, 3);
-    return status;
+    return QUATERNION_POINTING_F32_OK;
 }
 
 int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
     float new_S[9];
-    const int status = quaternion_pointing_f32_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(quaternion_pointing_f32_finite(in->u, 3))) {
+        return QUATERNION_POINTING_F32_NONFINITE;
+    }
+    quaternion_pointing_f32_eval_S(model, in, new_S);
+    if (!(quaternion_pointing_f32_finite(new_S, 9))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     quaternion_pointing_f32_copy(new_S, S, 9);
-    return status;
+    return QUATERNION_POINTING_F32_OK;
 }
 
 int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
 {
     float new_z[3];
-    const int status = quaternion_pointing_f32_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    quaternion_pointing_f32_eval_z(model, in, new_z);
+    if (!(quaternion_pointing_f32_finite(new_z, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     quaternion_pointing_f32_copy(new_z, z, 3);
-    return status;
+    return QUATERNION_POINTING_F32_OK;
 }
 
 int quaternion_pointing_f32_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
 {
     float new_S[9];
     float new_z[3];
-    const int status = quaternion_pointing_f32_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    quaternion_pointing_f32_eval_S_z(model, in, new_S, new_z);
+    if (!(quaternion_pointing_f32_finite(new_S, 9) && quaternion_pointing_f32_finite(new_z, 3))) {
+        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
     }
     quaternion_pointing_f32_copy(new_S, S, 9);
     quaternion_pointing_f32_copy(new_z, z, 3);
-    return status;
+    return QUATERNION_POINTING_F32_OK;
 }
 
 const quaternion_pointing_f32_params quaternion_pointing_f32_params_default = {
@@ -1631,7 +1591,6 @@ int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, 
     float S[9], z[3];
     int status;
     quaternion_pointing_f32_eval_S_z(model, in, S, z);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = quaternion_pointing_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

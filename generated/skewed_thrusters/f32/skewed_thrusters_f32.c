@@ -1190,19 +1190,6 @@ static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_psi(const skewe
     psi[5] = t5;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
-static int skewed_thrusters_f32_checked_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
-{
-    if (!(skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
-    }
-    skewed_thrusters_f32_eval_psi(model, in, psi);
-
-    if (!(skewed_thrusters_f32_finite(psi, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_F32_OK;
-}
 
 static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
@@ -1258,19 +1245,6 @@ static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S(const skewed_
     S[47] = model->c17;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
-static int skewed_thrusters_f32_checked_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
-{
-    if (!(skewed_thrusters_f32_finite(in->u, 6) && skewed_thrusters_f32_finite(in->velocity, 3) && skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
-    }
-    skewed_thrusters_f32_eval_S(model, in, S);
-
-    if (!(skewed_thrusters_f32_finite(S, 48))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_F32_OK;
-}
 
 static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
 {
@@ -1331,16 +1305,6 @@ static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_z(const skewed_
     z[5] = t47;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
-static int skewed_thrusters_f32_checked_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
-{
-    skewed_thrusters_f32_eval_z(model, in, z);
-
-    if (!(skewed_thrusters_f32_finite(z, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_F32_OK;
-}
 
 static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
 {
@@ -1450,16 +1414,6 @@ static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_S_z(const skewe
     z[5] = t47;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_F32_OK, or a negative status. */
-static int skewed_thrusters_f32_checked_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
-{
-    skewed_thrusters_f32_eval_S_z(model, in, S, z);
-
-    if (!(skewed_thrusters_f32_finite(S, 48) && skewed_thrusters_f32_finite(z, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_F32_OK;
-}
 
 static SKEWED_THRUSTERS_F32_SMALL void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z, float *y)
 {
@@ -1738,47 +1692,53 @@ int skewed_thrusters_f32_prepare(const skewed_thrusters_f32_params *params, skew
 int skewed_thrusters_f32_psi(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *psi)
 {
     float new_psi[6];
-    const int status = skewed_thrusters_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
+        return SKEWED_THRUSTERS_F32_NONFINITE;
+    }
+    skewed_thrusters_f32_eval_psi(model, in, new_psi);
+    if (!(skewed_thrusters_f32_finite(new_psi, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     skewed_thrusters_f32_copy(new_psi, psi, 6);
-    return status;
+    return SKEWED_THRUSTERS_F32_OK;
 }
 
 int skewed_thrusters_f32_S(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
     float new_S[48];
-    const int status = skewed_thrusters_f32_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(skewed_thrusters_f32_finite(in->u, 6) && skewed_thrusters_f32_finite(in->velocity, 3) && skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
+        return SKEWED_THRUSTERS_F32_NONFINITE;
+    }
+    skewed_thrusters_f32_eval_S(model, in, new_S);
+    if (!(skewed_thrusters_f32_finite(new_S, 48))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     skewed_thrusters_f32_copy(new_S, S, 48);
-    return status;
+    return SKEWED_THRUSTERS_F32_OK;
 }
 
 int skewed_thrusters_f32_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *z)
 {
     float new_z[6];
-    const int status = skewed_thrusters_f32_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    skewed_thrusters_f32_eval_z(model, in, new_z);
+    if (!(skewed_thrusters_f32_finite(new_z, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     skewed_thrusters_f32_copy(new_z, z, 6);
-    return status;
+    return SKEWED_THRUSTERS_F32_OK;
 }
 
 int skewed_thrusters_f32_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z)
 {
     float new_S[48];
     float new_z[6];
-    const int status = skewed_thrusters_f32_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    skewed_thrusters_f32_eval_S_z(model, in, new_S, new_z);
+    if (!(skewed_thrusters_f32_finite(new_S, 48) && skewed_thrusters_f32_finite(new_z, 6))) {
+        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
     }
     skewed_thrusters_f32_copy(new_S, S, 48);
     skewed_thrusters_f32_copy(new_z, z, 6);
-    return status;
+    return SKEWED_THRUSTERS_F32_OK;
 }
 
 const skewed_thrusters_f32_params skewed_thrusters_f32_params_default = {
@@ -1842,7 +1802,6 @@ int skewed_thrusters_f32_control(const skewed_thrusters_f32_model *model, const 
     float z[6], y[8];
     int status;
     skewed_thrusters_f32_eval_z_y(model, in, z, y);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = skewed_thrusters_f32_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
     if (status < 0) {

@@ -1190,19 +1190,6 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_psi(const skewed_thrust
     psi[5] = t5;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
-static int skewed_thrusters_checked_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
-{
-    if (!(skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_NONFINITE;
-    }
-    skewed_thrusters_eval_psi(model, in, psi);
-
-    if (!(skewed_thrusters_finite(psi, 6))) {
-        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_OK;
-}
 
 static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
@@ -1258,19 +1245,6 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S(const skewed_thruster
     S[47] = model->c17;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
-static int skewed_thrusters_checked_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
-{
-    if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3) && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_NONFINITE;
-    }
-    skewed_thrusters_eval_S(model, in, S);
-
-    if (!(skewed_thrusters_finite(S, 48))) {
-        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_OK;
-}
 
 static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
 {
@@ -1331,16 +1305,6 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z(const skewed_thruster
     z[5] = t47;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
-static int skewed_thrusters_checked_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
-{
-    skewed_thrusters_eval_z(model, in, z);
-
-    if (!(skewed_thrusters_finite(z, 6))) {
-        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_OK;
-}
 
 static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
 {
@@ -1450,16 +1414,6 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S_z(const skewed_thrust
     z[5] = t47;
 }
 
-/* The same behind its checks: SKEWED_THRUSTERS_OK, or a negative status. */
-static int skewed_thrusters_checked_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
-{
-    skewed_thrusters_eval_S_z(model, in, S, z);
-
-    if (!(skewed_thrusters_finite(S, 48) && skewed_thrusters_finite(z, 6))) {
-        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
-    }
-    return SKEWED_THRUSTERS_OK;
-}
 
 static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z, double *y)
 {
@@ -1738,47 +1692,53 @@ int skewed_thrusters_prepare(const skewed_thrusters_params *params, skewed_thrus
 int skewed_thrusters_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
 {
     double new_psi[6];
-    const int status = skewed_thrusters_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
+        return SKEWED_THRUSTERS_NONFINITE;
+    }
+    skewed_thrusters_eval_psi(model, in, new_psi);
+    if (!(skewed_thrusters_finite(new_psi, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     skewed_thrusters_copy(new_psi, psi, 6);
-    return status;
+    return SKEWED_THRUSTERS_OK;
 }
 
 int skewed_thrusters_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
     double new_S[48];
-    const int status = skewed_thrusters_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3) && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
+        return SKEWED_THRUSTERS_NONFINITE;
+    }
+    skewed_thrusters_eval_S(model, in, new_S);
+    if (!(skewed_thrusters_finite(new_S, 48))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     skewed_thrusters_copy(new_S, S, 48);
-    return status;
+    return SKEWED_THRUSTERS_OK;
 }
 
 int skewed_thrusters_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
 {
     double new_z[6];
-    const int status = skewed_thrusters_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    skewed_thrusters_eval_z(model, in, new_z);
+    if (!(skewed_thrusters_finite(new_z, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     skewed_thrusters_copy(new_z, z, 6);
-    return status;
+    return SKEWED_THRUSTERS_OK;
 }
 
 int skewed_thrusters_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
 {
     double new_S[48];
     double new_z[6];
-    const int status = skewed_thrusters_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    skewed_thrusters_eval_S_z(model, in, new_S, new_z);
+    if (!(skewed_thrusters_finite(new_S, 48) && skewed_thrusters_finite(new_z, 6))) {
+        return skewed_thrusters_reason(in, SKEWED_THRUSTERS_OVERFLOW);
     }
     skewed_thrusters_copy(new_S, S, 48);
     skewed_thrusters_copy(new_z, z, 6);
-    return status;
+    return SKEWED_THRUSTERS_OK;
 }
 
 const skewed_thrusters_params skewed_thrusters_params_default = {
@@ -1842,7 +1802,6 @@ int skewed_thrusters_control(const skewed_thrusters_model *model, const skewed_t
     double z[6], y[8];
     int status;
     skewed_thrusters_eval_z_y(model, in, z, y);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = skewed_thrusters_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
     if (status < 0) {

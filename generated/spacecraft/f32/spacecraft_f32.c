@@ -556,16 +556,6 @@ static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_phi(const spacecraft_f32_mo
     phi[0] = t19;
 }
 
-/* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
-static int spacecraft_f32_checked_phi(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi)
-{
-    spacecraft_f32_eval_phi(model, in, phi);
-
-    if (!(spacecraft_f32_finite(phi, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
-    }
-    return SPACECRAFT_F32_OK;
-}
 
 static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A)
 {
@@ -578,19 +568,6 @@ static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_A(const spacecraft_f32_mode
     A[2] = t2;
 }
 
-/* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
-static int spacecraft_f32_checked_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A)
-{
-    if (!(spacecraft_f32_finite(in->tau, 3))) {
-        return SPACECRAFT_F32_NONFINITE;
-    }
-    spacecraft_f32_eval_A(model, in, A);
-
-    if (!(spacecraft_f32_finite(A, 3))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
-    }
-    return SPACECRAFT_F32_OK;
-}
 
 static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *B)
 {
@@ -624,16 +601,6 @@ static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_B(const spacecraft_f32_mode
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
-static int spacecraft_f32_checked_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *B)
-{
-    spacecraft_f32_eval_B(model, in, B);
-
-    if (!(spacecraft_f32_finite(B, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
-    }
-    return SPACECRAFT_F32_OK;
-}
 
 static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_A_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A, float *B)
 {
@@ -671,16 +638,6 @@ static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_A_B(const spacecraft_f32_mo
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_F32_OK, or a negative status. */
-static int spacecraft_f32_checked_A_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A, float *B)
-{
-    spacecraft_f32_eval_A_B(model, in, A, B);
-
-    if (!(spacecraft_f32_finite(B, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
-    }
-    return SPACECRAFT_F32_OK;
-}
 
 static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_phi_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi, float *A)
 {
@@ -716,7 +673,6 @@ static SPACECRAFT_F32_SMALL void spacecraft_f32_eval_phi_A(const spacecraft_f32_
 static int spacecraft_f32_checked_phi_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi, float *A)
 {
     spacecraft_f32_eval_phi_A(model, in, phi, A);
-
     if (!(spacecraft_f32_finite(phi, 1))) {
         return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
@@ -778,47 +734,50 @@ int spacecraft_f32_prepare(const spacecraft_f32_params *params, spacecraft_f32_m
 int spacecraft_f32_phi(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *phi)
 {
     float new_phi[1];
-    const int status = spacecraft_f32_checked_phi(model, in, new_phi);
-    if (status < 0) {
-        return status;
+    spacecraft_f32_eval_phi(model, in, new_phi);
+    if (!(spacecraft_f32_finite(new_phi, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     spacecraft_f32_copy(new_phi, phi, 1);
-    return status;
+    return SPACECRAFT_F32_OK;
 }
 
 int spacecraft_f32_A(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A)
 {
     float new_A[3];
-    const int status = spacecraft_f32_checked_A(model, in, new_A);
-    if (status < 0) {
-        return status;
+    if (!(spacecraft_f32_finite(in->tau, 3))) {
+        return SPACECRAFT_F32_NONFINITE;
+    }
+    spacecraft_f32_eval_A(model, in, new_A);
+    if (!(spacecraft_f32_finite(new_A, 3))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     spacecraft_f32_copy(new_A, A, 3);
-    return status;
+    return SPACECRAFT_F32_OK;
 }
 
 int spacecraft_f32_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *B)
 {
     float new_B[1];
-    const int status = spacecraft_f32_checked_B(model, in, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_f32_eval_B(model, in, new_B);
+    if (!(spacecraft_f32_finite(new_B, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     spacecraft_f32_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_F32_OK;
 }
 
 int spacecraft_f32_A_B(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *A, float *B)
 {
     float new_A[3];
     float new_B[1];
-    const int status = spacecraft_f32_checked_A_B(model, in, new_A, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_f32_eval_A_B(model, in, new_A, new_B);
+    if (!(spacecraft_f32_finite(new_B, 1))) {
+        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
     }
     spacecraft_f32_copy(new_A, A, 3);
     spacecraft_f32_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_F32_OK;
 }
 
 const spacecraft_f32_params spacecraft_f32_params_default = {
@@ -838,7 +797,6 @@ int spacecraft_f32_control(const spacecraft_f32_model *model, const spacecraft_f
     float A[3], B[1];
     int status;
     spacecraft_f32_eval_A_B(model, in, A, B);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_f32_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {

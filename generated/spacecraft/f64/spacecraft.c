@@ -556,16 +556,6 @@ static SPACECRAFT_SMALL void spacecraft_eval_phi(const spacecraft_model *model, 
     phi[0] = t19;
 }
 
-/* The same behind its checks: SPACECRAFT_OK, or a negative status. */
-static int spacecraft_checked_phi(const spacecraft_model *model, const spacecraft_input *in, double *phi)
-{
-    spacecraft_eval_phi(model, in, phi);
-
-    if (!(spacecraft_finite(phi, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
-    }
-    return SPACECRAFT_OK;
-}
 
 static SPACECRAFT_SMALL void spacecraft_eval_A(const spacecraft_model *model, const spacecraft_input *in, double *A)
 {
@@ -578,19 +568,6 @@ static SPACECRAFT_SMALL void spacecraft_eval_A(const spacecraft_model *model, co
     A[2] = t2;
 }
 
-/* The same behind its checks: SPACECRAFT_OK, or a negative status. */
-static int spacecraft_checked_A(const spacecraft_model *model, const spacecraft_input *in, double *A)
-{
-    if (!(spacecraft_finite(in->tau, 3))) {
-        return SPACECRAFT_NONFINITE;
-    }
-    spacecraft_eval_A(model, in, A);
-
-    if (!(spacecraft_finite(A, 3))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
-    }
-    return SPACECRAFT_OK;
-}
 
 static SPACECRAFT_SMALL void spacecraft_eval_B(const spacecraft_model *model, const spacecraft_input *in, double *B)
 {
@@ -624,16 +601,6 @@ static SPACECRAFT_SMALL void spacecraft_eval_B(const spacecraft_model *model, co
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_OK, or a negative status. */
-static int spacecraft_checked_B(const spacecraft_model *model, const spacecraft_input *in, double *B)
-{
-    spacecraft_eval_B(model, in, B);
-
-    if (!(spacecraft_finite(B, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
-    }
-    return SPACECRAFT_OK;
-}
 
 static SPACECRAFT_SMALL void spacecraft_eval_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B)
 {
@@ -671,16 +638,6 @@ static SPACECRAFT_SMALL void spacecraft_eval_A_B(const spacecraft_model *model, 
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_OK, or a negative status. */
-static int spacecraft_checked_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B)
-{
-    spacecraft_eval_A_B(model, in, A, B);
-
-    if (!(spacecraft_finite(B, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
-    }
-    return SPACECRAFT_OK;
-}
 
 static SPACECRAFT_SMALL void spacecraft_eval_phi_A(const spacecraft_model *model, const spacecraft_input *in, double *phi, double *A)
 {
@@ -716,7 +673,6 @@ static SPACECRAFT_SMALL void spacecraft_eval_phi_A(const spacecraft_model *model
 static int spacecraft_checked_phi_A(const spacecraft_model *model, const spacecraft_input *in, double *phi, double *A)
 {
     spacecraft_eval_phi_A(model, in, phi, A);
-
     if (!(spacecraft_finite(phi, 1))) {
         return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
@@ -778,47 +734,50 @@ int spacecraft_prepare(const spacecraft_params *params, spacecraft_model *model)
 int spacecraft_phi(const spacecraft_model *model, const spacecraft_input *in, double *phi)
 {
     double new_phi[1];
-    const int status = spacecraft_checked_phi(model, in, new_phi);
-    if (status < 0) {
-        return status;
+    spacecraft_eval_phi(model, in, new_phi);
+    if (!(spacecraft_finite(new_phi, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     spacecraft_copy(new_phi, phi, 1);
-    return status;
+    return SPACECRAFT_OK;
 }
 
 int spacecraft_A(const spacecraft_model *model, const spacecraft_input *in, double *A)
 {
     double new_A[3];
-    const int status = spacecraft_checked_A(model, in, new_A);
-    if (status < 0) {
-        return status;
+    if (!(spacecraft_finite(in->tau, 3))) {
+        return SPACECRAFT_NONFINITE;
+    }
+    spacecraft_eval_A(model, in, new_A);
+    if (!(spacecraft_finite(new_A, 3))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     spacecraft_copy(new_A, A, 3);
-    return status;
+    return SPACECRAFT_OK;
 }
 
 int spacecraft_B(const spacecraft_model *model, const spacecraft_input *in, double *B)
 {
     double new_B[1];
-    const int status = spacecraft_checked_B(model, in, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_eval_B(model, in, new_B);
+    if (!(spacecraft_finite(new_B, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     spacecraft_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_OK;
 }
 
 int spacecraft_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B)
 {
     double new_A[3];
     double new_B[1];
-    const int status = spacecraft_checked_A_B(model, in, new_A, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_eval_A_B(model, in, new_A, new_B);
+    if (!(spacecraft_finite(new_B, 1))) {
+        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
     }
     spacecraft_copy(new_A, A, 3);
     spacecraft_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_OK;
 }
 
 const spacecraft_params spacecraft_params_default = {
@@ -838,7 +797,6 @@ int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in
     double A[3], B[1];
     int status;
     spacecraft_eval_A_B(model, in, A, B);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {

@@ -556,16 +556,6 @@ static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_phi(const spacecraft_
     phi[0] = t19;
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_phi(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi)
-{
-    spacecraft_smooth_eval_phi(model, in, phi);
-
-    if (!(spacecraft_smooth_finite(phi, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
 
 static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A)
 {
@@ -578,19 +568,6 @@ static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_A(const spacecraft_sm
     A[2] = t2;
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A)
-{
-    if (!(spacecraft_smooth_finite(in->tau, 3))) {
-        return SPACECRAFT_SMOOTH_NONFINITE;
-    }
-    spacecraft_smooth_eval_A(model, in, A);
-
-    if (!(spacecraft_smooth_finite(A, 3))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
 
 static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *B)
 {
@@ -624,16 +601,6 @@ static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_B(const spacecraft_sm
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *B)
-{
-    spacecraft_smooth_eval_B(model, in, B);
-
-    if (!(spacecraft_smooth_finite(B, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
 
 static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_A_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B)
 {
@@ -671,16 +638,6 @@ static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_A_B(const spacecraft_
     B[0] = (-t25);
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_OK, or a negative status. */
-static int spacecraft_smooth_checked_A_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B)
-{
-    spacecraft_smooth_eval_A_B(model, in, A, B);
-
-    if (!(spacecraft_smooth_finite(B, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
-    }
-    return SPACECRAFT_SMOOTH_OK;
-}
 
 static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_A_B_y(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B, double *y)
 {
@@ -757,7 +714,6 @@ static SPACECRAFT_SMOOTH_SMALL void spacecraft_smooth_eval_phi_A(const spacecraf
 static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi, double *A)
 {
     spacecraft_smooth_eval_phi_A(model, in, phi, A);
-
     if (!(spacecraft_smooth_finite(phi, 1))) {
         return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
     }
@@ -819,47 +775,50 @@ int spacecraft_smooth_prepare(const spacecraft_smooth_params *params, spacecraft
 int spacecraft_smooth_phi(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *phi)
 {
     double new_phi[1];
-    const int status = spacecraft_smooth_checked_phi(model, in, new_phi);
-    if (status < 0) {
-        return status;
+    spacecraft_smooth_eval_phi(model, in, new_phi);
+    if (!(spacecraft_smooth_finite(new_phi, 1))) {
+        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
     }
     spacecraft_smooth_copy(new_phi, phi, 1);
-    return status;
+    return SPACECRAFT_SMOOTH_OK;
 }
 
 int spacecraft_smooth_A(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A)
 {
     double new_A[3];
-    const int status = spacecraft_smooth_checked_A(model, in, new_A);
-    if (status < 0) {
-        return status;
+    if (!(spacecraft_smooth_finite(in->tau, 3))) {
+        return SPACECRAFT_SMOOTH_NONFINITE;
+    }
+    spacecraft_smooth_eval_A(model, in, new_A);
+    if (!(spacecraft_smooth_finite(new_A, 3))) {
+        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
     }
     spacecraft_smooth_copy(new_A, A, 3);
-    return status;
+    return SPACECRAFT_SMOOTH_OK;
 }
 
 int spacecraft_smooth_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *B)
 {
     double new_B[1];
-    const int status = spacecraft_smooth_checked_B(model, in, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_smooth_eval_B(model, in, new_B);
+    if (!(spacecraft_smooth_finite(new_B, 1))) {
+        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
     }
     spacecraft_smooth_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_SMOOTH_OK;
 }
 
 int spacecraft_smooth_A_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B)
 {
     double new_A[3];
     double new_B[1];
-    const int status = spacecraft_smooth_checked_A_B(model, in, new_A, new_B);
-    if (status < 0) {
-        return status;
+    spacecraft_smooth_eval_A_B(model, in, new_A, new_B);
+    if (!(spacecraft_smooth_finite(new_B, 1))) {
+        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
     }
     spacecraft_smooth_copy(new_A, A, 3);
     spacecraft_smooth_copy(new_B, B, 1);
-    return status;
+    return SPACECRAFT_SMOOTH_OK;
 }
 
 const spacecraft_smooth_params spacecraft_smooth_params_default = {
@@ -879,7 +838,6 @@ int spacecraft_smooth_control(const spacecraft_smooth_model *model, const spacec
     double A[3], B[1], y[3];
     int status;
     spacecraft_smooth_eval_A_B_y(model, in, A, B, y);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_smooth_solve_core(A, B, y, tau_dot, info);
     if (status < 0) {

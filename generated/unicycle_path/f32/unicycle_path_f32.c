@@ -1296,19 +1296,6 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_psi(const unicycle_pa
     psi[1] = t10;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
-static int unicycle_path_f32_checked_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
-{
-    if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_F32_NONFINITE;
-    }
-    unicycle_path_f32_eval_psi(model, in, psi);
-
-    if (!(unicycle_path_f32_finite(psi, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
-    }
-    return UNICYCLE_PATH_F32_OK;
-}
 
 static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
 {
@@ -1345,19 +1332,6 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path
     S[3] = model->c1;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
-static int unicycle_path_f32_checked_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
-{
-    if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_F32_NONFINITE;
-    }
-    unicycle_path_f32_eval_S(model, in, S);
-
-    if (!(unicycle_path_f32_finite(S, 4))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
-    }
-    return UNICYCLE_PATH_F32_OK;
-}
 
 static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
@@ -1429,16 +1403,6 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_z(const unicycle_path
     z[1] = t57;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
-static int unicycle_path_f32_checked_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
-{
-    unicycle_path_f32_eval_z(model, in, z);
-
-    if (!(unicycle_path_f32_finite(z, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
-    }
-    return UNICYCLE_PATH_F32_OK;
-}
 
 static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S, float *z)
 {
@@ -1519,16 +1483,6 @@ static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, con
     z[1] = t61;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_F32_OK, or a negative status. */
-static int unicycle_path_f32_checked_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S, float *z)
-{
-    unicycle_path_f32_eval_S_z(model, in, S, z);
-
-    if (!(unicycle_path_f32_finite(S, 4) && unicycle_path_f32_finite(z, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
-    }
-    return UNICYCLE_PATH_F32_OK;
-}
 
 int unicycle_path_f32_prepare(const unicycle_path_f32_params *params, unicycle_path_f32_model *model)
 {
@@ -1591,47 +1545,53 @@ int unicycle_path_f32_prepare(const unicycle_path_f32_params *params, unicycle_p
 int unicycle_path_f32_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
 {
     float new_psi[2];
-    const int status = unicycle_path_f32_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
+        return UNICYCLE_PATH_F32_NONFINITE;
+    }
+    unicycle_path_f32_eval_psi(model, in, new_psi);
+    if (!(unicycle_path_f32_finite(new_psi, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     unicycle_path_f32_copy(new_psi, psi, 2);
-    return status;
+    return UNICYCLE_PATH_F32_OK;
 }
 
 int unicycle_path_f32_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
 {
     float new_S[4];
-    const int status = unicycle_path_f32_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
+        return UNICYCLE_PATH_F32_NONFINITE;
+    }
+    unicycle_path_f32_eval_S(model, in, new_S);
+    if (!(unicycle_path_f32_finite(new_S, 4))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     unicycle_path_f32_copy(new_S, S, 4);
-    return status;
+    return UNICYCLE_PATH_F32_OK;
 }
 
 int unicycle_path_f32_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
     float new_z[2];
-    const int status = unicycle_path_f32_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    unicycle_path_f32_eval_z(model, in, new_z);
+    if (!(unicycle_path_f32_finite(new_z, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     unicycle_path_f32_copy(new_z, z, 2);
-    return status;
+    return UNICYCLE_PATH_F32_OK;
 }
 
 int unicycle_path_f32_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S, float *z)
 {
     float new_S[4];
     float new_z[2];
-    const int status = unicycle_path_f32_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    unicycle_path_f32_eval_S_z(model, in, new_S, new_z);
+    if (!(unicycle_path_f32_finite(new_S, 4) && unicycle_path_f32_finite(new_z, 2))) {
+        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
     }
     unicycle_path_f32_copy(new_S, S, 4);
     unicycle_path_f32_copy(new_z, z, 2);
-    return status;
+    return UNICYCLE_PATH_F32_OK;
 }
 
 const unicycle_path_f32_params unicycle_path_f32_params_default = {
@@ -1652,7 +1612,6 @@ int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicyc
     float S[4], z[2];
     int status;
     unicycle_path_f32_eval_S_z(model, in, S, z);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = unicycle_path_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {

@@ -1330,19 +1330,6 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_psi(const unicycle_path_model
     psi[1] = t10;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
-static int unicycle_path_checked_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
-{
-    if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_NONFINITE;
-    }
-    unicycle_path_eval_psi(model, in, psi);
-
-    if (!(unicycle_path_finite(psi, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
-    }
-    return UNICYCLE_PATH_OK;
-}
 
 static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
 {
@@ -1379,19 +1366,6 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *
     S[3] = model->c1;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
-static int unicycle_path_checked_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
-{
-    if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_NONFINITE;
-    }
-    unicycle_path_eval_S(model, in, S);
-
-    if (!(unicycle_path_finite(S, 4))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
-    }
-    return UNICYCLE_PATH_OK;
-}
 
 static UNICYCLE_PATH_SMALL void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
@@ -1463,16 +1437,6 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_z(const unicycle_path_model *
     z[1] = t57;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
-static int unicycle_path_checked_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
-{
-    unicycle_path_eval_z(model, in, z);
-
-    if (!(unicycle_path_finite(z, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
-    }
-    return UNICYCLE_PATH_OK;
-}
 
 static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z)
 {
@@ -1553,16 +1517,6 @@ static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicy
     z[1] = t61;
 }
 
-/* The same behind its checks: UNICYCLE_PATH_OK, or a negative status. */
-static int unicycle_path_checked_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z)
-{
-    unicycle_path_eval_S_z(model, in, S, z);
-
-    if (!(unicycle_path_finite(S, 4) && unicycle_path_finite(z, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
-    }
-    return UNICYCLE_PATH_OK;
-}
 
 int unicycle_path_prepare(const unicycle_path_params *params, unicycle_path_model *model)
 {
@@ -1625,47 +1579,53 @@ int unicycle_path_prepare(const unicycle_path_params *params, unicycle_path_mode
 int unicycle_path_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
 {
     double new_psi[2];
-    const int status = unicycle_path_checked_psi(model, in, new_psi);
-    if (status < 0) {
-        return status;
+    if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
+        return UNICYCLE_PATH_NONFINITE;
+    }
+    unicycle_path_eval_psi(model, in, new_psi);
+    if (!(unicycle_path_finite(new_psi, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     unicycle_path_copy(new_psi, psi, 2);
-    return status;
+    return UNICYCLE_PATH_OK;
 }
 
 int unicycle_path_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
 {
     double new_S[4];
-    const int status = unicycle_path_checked_S(model, in, new_S);
-    if (status < 0) {
-        return status;
+    if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
+        return UNICYCLE_PATH_NONFINITE;
+    }
+    unicycle_path_eval_S(model, in, new_S);
+    if (!(unicycle_path_finite(new_S, 4))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     unicycle_path_copy(new_S, S, 4);
-    return status;
+    return UNICYCLE_PATH_OK;
 }
 
 int unicycle_path_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
     double new_z[2];
-    const int status = unicycle_path_checked_z(model, in, new_z);
-    if (status < 0) {
-        return status;
+    unicycle_path_eval_z(model, in, new_z);
+    if (!(unicycle_path_finite(new_z, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     unicycle_path_copy(new_z, z, 2);
-    return status;
+    return UNICYCLE_PATH_OK;
 }
 
 int unicycle_path_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z)
 {
     double new_S[4];
     double new_z[2];
-    const int status = unicycle_path_checked_S_z(model, in, new_S, new_z);
-    if (status < 0) {
-        return status;
+    unicycle_path_eval_S_z(model, in, new_S, new_z);
+    if (!(unicycle_path_finite(new_S, 4) && unicycle_path_finite(new_z, 2))) {
+        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
     }
     unicycle_path_copy(new_S, S, 4);
     unicycle_path_copy(new_z, z, 2);
-    return status;
+    return UNICYCLE_PATH_OK;
 }
 
 const unicycle_path_params unicycle_path_params_default = {
@@ -1686,7 +1646,6 @@ int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_
     double S[4], z[2];
     int status;
     unicycle_path_eval_S_z(model, in, S, z);
-
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = unicycle_path_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
