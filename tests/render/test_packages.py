@@ -249,7 +249,7 @@ def test_operations_are_those_in_the_code(packages: list[sg.Package]) -> None:
     for p in packages:
         code = (p.path / f"{p.prefix}.c").read_text()
         for entry in p.module.entry_points:
-            body = re.search(rf"static void {p.prefix}_eval_{entry.kernel.name}\(.*?\n}}", code, re.DOTALL)
+            body = re.search(rf"static (?:\w+ )?void {p.prefix}_eval_{entry.kernel.name}\(.*?\n}}", code, re.DOTALL)
             assert body is not None
             statements = len(re.findall(r"^    const (?:double|float) t\d+ = ", body[0], re.MULTILINE))
             statements += 2 * len(re.findall(r"^    const \w+_pair t\d+ = ", body[0], re.MULTILINE))  # sine and cosine

@@ -239,7 +239,7 @@ def _call(package: Package) -> str:
     """The statements of the control function's own code, as generated."""
     text = (package.path / f"{package.prefix}.c").read_text()
     kernel = package.module.control.kernel.name if package.module.control else ""
-    found = re.search(rf"^static void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
+    found = re.search(rf"^static (?:\w+ )?void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
     return found.group(0) if found else ""
 
 
