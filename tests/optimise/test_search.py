@@ -111,7 +111,14 @@ def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["double_pendulum_energy", "spacecraft_smooth", "planar_arm_3r_weighted", "quaternion_pointing", "unicycle_path"],
+    [
+        "double_pendulum_energy",
+        "spacecraft_smooth",
+        "planar_arm_3r",
+        "planar_arm_3r_weighted",
+        "quaternion_pointing",
+        "unicycle_path",
+    ],
 )
 def test_measured_errors_do_not_rise(name: str) -> None:
     """Float64 against 50 digits at states that no pass has seen: at most 1.5 times the unoptimised program's error.

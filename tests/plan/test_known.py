@@ -51,13 +51,10 @@ def test_a_constant_matrix_is_inverted_at_generation(scalar: str, y: Any) -> Non
 
 
 @pytest.mark.parametrize("scalar", ["float64", "float32"])
-def test_no_y_reaches_a_square_system_of_full_rank(scalar: str) -> None:
+def test_no_y_reaches_a_square_system_of_full_rank(scalar: Any) -> None:
     """y = 1e16 cost the answer all digits, and 1e308 the answer."""
     scene = linear([[3, 1], [1, 2]], [[1, 0.5], [0.25, 1]], y="input")
-    code, textbook = (
-        make(scene, scalar=scalar) for make in (lambda s, scalar: sg.build(s, scalar=scalar).load(), sg.reference)
-    )  # type: ignore[arg-type]
-    for twin in (code, textbook):
+    for twin in (sg.build(scene, scalar=scalar).load(), sg.reference(scene, scalar)):
         twin.prepare()
         state = {n: v[0] for n, v in draw_states(scene, 1).items()}
         plain = twin.control(**(state | {"y": np.zeros(2)}))

@@ -12,14 +12,13 @@ def told_inputs(program: Program) -> frozenset[tuple[str, int]]:
     return frozenset(i.const for k in told if isinstance((i := program.instrs[k]).const, tuple))
 
 
-def watched_outputs(program: Program) -> frozenset[tuple[str, int]]:
-    """(name, index) of output entries: where these are finite, all are. The rest lead to them, or are constants."""
-    nodes = {(o.name, k): node for o in program.outputs for k, node in enumerate(o.nodes)}
-    watched = {entry: node for entry, node in nodes.items() if program.instrs[node].op != "const"}
-    for entry, node in list(watched.items()):
-        others = [n for e, n in watched.items() if e != entry]
-        if node in _told(program, others):
-            del watched[entry]
+def watched_outputs(program: Program) -> frozenset[str]:
+    """Names of outputs: where these are finite, all are. The rest lead to them, or are constants."""
+    watched = {o.name: {n for n in o.nodes if program.instrs[n].op != "const"} for o in program.outputs}
+    for name, nodes in list(watched.items()):
+        others = (n for other, its in watched.items() if other != name for n in its)
+        if nodes <= _told(program, others):
+            del watched[name]
     return frozenset(watched)
 
 

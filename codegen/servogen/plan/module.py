@@ -79,7 +79,7 @@ class Kernel:
 
     def watched(self) -> tuple[Result, ...]:
         """The results to be looked at: where these are finite, all are."""
-        names = {name for name, _ in watched_outputs(self.handed_out())}
+        names = watched_outputs(self.handed_out())
         return tuple(r for r in self.results if r.name in names)
 
     @property
