@@ -67,7 +67,7 @@ def test_row_range_leaves_atol_and_damping_to_the_scaled_form():
     for solver, bound in ((Solver(atol=atol), l * atol**2), (Solver(damping=damping), damping**2)):
         row_range = plan_solver(1, l, "float64", solver).row_range
         assert row_range is not None
-        assert 2.0 ** (row_range.square_low - 1023) > bound
+        assert 2.0 ** (row_range.square_floor / 2 - 1023) > bound
     assert plan_solver(1, l, "float32", Solver(damping=1e9)).row_range is None
 
 

@@ -93,16 +93,14 @@ BITS: dict[str, Bits] = {
 class RowRange:
     """Where the unscaled closed form of a row is safe, and gives the same bits as the scaled one.
 
-    Biased exponents, both ends included: of s s^T, of z - s y, and of tau tau^T where tau is refined. Outside (and
-    at NaN, infinity, zero, atol and damping, which all fall outside) the scaled form takes over.
+    Outside (and at NaN, infinity, zero, atol and damping, which all fall outside) the scaled form takes over. A square
+    and a task in range lie 0 to span above their lowest, a power of two less one: so that one comparison does for both.
     """
 
-    square_low: int
-    square_high: int
-    task_low: int
-    task_high: int
-    tau_low: int
-    tau_high: int
+    square_low: int  # of s s^T, twice the biased exponent: half as many binades
+    square_floor: int | None  # the same, below which s may be zero or damped; None where square_low is above it
+    task_low: int  # of z - s y, biased exponent
+    span: int
 
 
 @dataclass(frozen=True)
@@ -346,18 +344,22 @@ def _row_tolerances(m: int, atol: float | Sequence[float] | None, scalar: Scalar
 def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> RowRange | None:
     """Exponents chosen so that no product that matters underflows and no sum overflows.
 
-    Squares in 2^+-a and tasks in 2^+-b: then |tau - y| <= 2^(b + a/2) is below half an ulp of the largest number, and
+    Squares in 2^+-a and tasks in 2^+-2a: then |tau - y| <= 2^(5a/2) is below half an ulp of the largest number, and
     products that underflow are below half an ulp of any sum they enter that matters: only a chain of ties, each 24 bits
     above the last, can carry such a rounding up to a float32 task, by half an ulp of it.
-    Where tau is refined, squares of tau in 2^+-c, times s s^T, neither overflow nor become subnormal.
     """
-    square, task, tau = (200, 700, 800) if scalar == "float64" else (30, 60, 90)
+    a = 256 if scalar == "float64" else 32
     # above these the row is neither zero nor damped
-    low = max(-square, _square_above(math.sqrt(l) * atol), _square_above(damping or 0.0))
-    if low >= square:
+    floor = max(_square_above(math.sqrt(l) * atol), _square_above(damping or 0.0))
+    if floor >= a:
         return None
     bias = BITS[scalar].bias
-    return RowRange(low + bias, square + bias, -task + bias, task + bias, -tau + bias, tau + bias)
+    return RowRange(
+        square_low=2 * (bias - a),
+        square_floor=2 * (bias + floor) if floor > -a else None,
+        task_low=bias - 2 * a,
+        span=4 * a - 1,
+    )
 
 
 def _total(add: int = 0, mul: int = 0, div: int = 0, sqrt: int = 0) -> Operations:

@@ -187,6 +187,10 @@ def _at_the_edge(twin: SolverTwin, m: int, l: int, scalar: Scalar) -> None:
                           (np.float64(z_size) * np.ones(l)).astype(scalar)):  # fmt: skip
                     twin.solve(S, z, y)
                 twin.pinv(S)
+    short, long = (1e-36, 1e186) if scalar == "float64" else (3e-5, 4e22)
+    for _ in range(8):  # y far along a small S
+        S = short * generator.uniform(1.0, 2.0, (m, l)).astype(scalar)
+        twin.solve(S, np.ones(m, scalar), long / short * S[0])
 
 
 def _without_info(library: ctypes.CDLL, prefix: str) -> None:

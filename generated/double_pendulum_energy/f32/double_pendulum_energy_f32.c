@@ -218,6 +218,12 @@ static float double_pendulum_energy_f32_cos(float x)
 #define DOUBLE_PENDULUM_ENERGY_F32_COLD
 #define DOUBLE_PENDULUM_ENERGY_F32_SMALL
 #endif
+/* Kept out of line, so that the steps before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_F32_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_F32_APART
+#endif
 
 /* 2^k, -126 <= k <= 127. */
 static float double_pendulum_energy_f32_power(int k)
@@ -275,19 +281,6 @@ static uint32_t double_pendulum_energy_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint32_t double_pendulum_energy_f32_biased_square(float square)
-{
-    double_pendulum_energy_f32_word word;
-    word.value = square;
-    return word.bits >> 23;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int double_pendulum_energy_f32_within(uint32_t biased, uint32_t low, uint32_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_energy_f32_refuse(int status, double_pendulum_energy_f32_info *info)
@@ -419,11 +412,17 @@ static int double_pendulum_energy_f32_cancels(float rest, float target)
     return double_pendulum_energy_f32_biased(rest) > double_pendulum_energy_f32_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
-static int double_pendulum_energy_f32_exhausted(float square, float tau_square, float rest, float target)
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+static int double_pendulum_energy_f32_drowned(float rest, float target)
+{
+    return double_pendulum_energy_f32_biased(rest) >= double_pendulum_energy_f32_biased(target) + 19;
+}
+
+/* Whether they may be all that tau is, too: then one more. */
+static int double_pendulum_energy_f32_exhausted(float square, float tau_square, float rest)
 {
     const float noise = rest * 1.9073486e-6f;
-    return double_pendulum_energy_f32_biased(noise) >= double_pendulum_energy_f32_biased(target) && !(square * tau_square > noise * noise);
+    return !(square * tau_square > noise * noise);
 }
 
 /* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
@@ -469,19 +468,19 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_scal
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_energy_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_f32_shift(y[1], -unit);
     }
-    refine = y != NULL && double_pendulum_energy_f32_cancels(rest, target);
-    scale = row.rank ? double_pendulum_energy_f32_over_square(&row, rest) : 0.0f;
+    refine = y != NULL && row.rank && double_pendulum_energy_f32_cancels(rest, target);
+    scale = refine ? rest * (1.0f / row.square) : row.rank ? double_pendulum_energy_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_f32_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
-    if (refine && row.rank) {
+    if (refine) {
         (void)double_pendulum_energy_f32_refine_row(&row, target, unit, answer);
         t_0 = double_pendulum_energy_f32_shift(answer[0], -unit);
         t_1 = double_pendulum_energy_f32_shift(answer[1], -unit);
-        if (double_pendulum_energy_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+        if (double_pendulum_energy_f32_drowned(rest, target) && double_pendulum_energy_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
             const float more = double_pendulum_energy_f32_refine_row(&row, target, unit, answer);
             if (double_pendulum_energy_f32_magnitude(double_pendulum_energy_f32_shift(4.0f * more, unit)) > double_pendulum_energy_f32_largest(answer, 2)) {
                 /* rounding errors twice over: nothing of y is left */
@@ -534,7 +533,17 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_pinv_scale
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_quick_info(float square, float residual, double_pendulum_energy_f32_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint32_t double_pendulum_energy_f32_above(float square)
+{
+    double_pendulum_energy_f32_word word;
+    word.value = square;
+    word.bits >>= 22;
+    return word.bits - 190;
+}
+
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_short_info(float square, float residual, double_pendulum_energy_f32_info *info)
 {
     info->status = DOUBLE_PENDULUM_ENERGY_F32_OK;
     info->path = DOUBLE_PENDULUM_ENERGY_F32_PATH_CLOSED_FORM;
@@ -545,63 +554,86 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_quick_info
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_values(float s_0, float s_1, float target, const float *y, float *tau, double_pendulum_energy_f32_info *info)
+{
+    const float S[2] = {s_0, s_1};
+    return double_pendulum_energy_f32_solve_scaled(S, &target, y, tau, info);
+}
+
+/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
+static DOUBLE_PENDULUM_ENERGY_F32_APART int double_pendulum_energy_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_f32_info *info, float square, float rest)
+{
+    if ((double_pendulum_energy_f32_above(square) | (double_pendulum_energy_f32_biased(rest) - 63)) <= 127) {
+        const float s_0 = S[0];
+        const float s_1 = S[1];
+        const float target = z[0];
+        const float inverse = 1.0f / square;
+        const float scale = rest * inverse;
+        float t_0 = y[0] + s_0 * scale;
+        float t_1 = y[1] + s_1 * scale;
+        const float more = (target - (s_0 * t_0 + s_1 * t_1)) * inverse;
+        t_0 += s_0 * more;
+        t_1 += s_1 * more;
+        if (double_pendulum_energy_f32_biased(more) <= 190 &&
+            !(double_pendulum_energy_f32_drowned(rest, target) && double_pendulum_energy_f32_exhausted(square, t_0 * t_0 + t_1 * t_1, rest))) {
+            tau[0] = t_0;
+            tau[1] = t_1;
+            if (info != NULL) {
+                return double_pendulum_energy_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+            }
+            return DOUBLE_PENDULUM_ENERGY_F32_OK;
+        }
+    }
+    return double_pendulum_energy_f32_solve_scaled(S, z, y, tau, info);
+}
+
 static DOUBLE_PENDULUM_ENERGY_F32_SMALL int double_pendulum_energy_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased_square(square), 97, 157)) {
-        if (y == NULL) {
-            if (double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased(target), 67, 187)) {
-                const float scale = target / square;
-                const float t_0 = s_0 * scale;
-                const float t_1 = s_1 * scale;
-                tau[0] = t_0;
-                tau[1] = t_1;
-                if (info != NULL) {
-                    return double_pendulum_energy_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
-                }
-                return DOUBLE_PENDULUM_ENERGY_F32_OK;
-            }
-        } else {
-            const float y_0 = y[0];
-            const float y_1 = y[1];
-            const float rest = target - (s_0 * y_0 + s_1 * y_1);
-            if (double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased(rest), 67, 187)) {
-                const float scale = rest / square;
-                float t_0 = y_0 + s_0 * scale;
-                float t_1 = y_1 + s_1 * scale;
-                if (double_pendulum_energy_f32_cancels(rest, target)) {
-                    const float more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0f / square);
-                    t_0 += s_0 * more;
-                    t_1 += s_1 * more;
-                    const float tau_square = t_0 * t_0 + t_1 * t_1;
-                    if (!double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased_square(tau_square), 37, 217) ||
-                        double_pendulum_energy_f32_exhausted(square, tau_square, rest, target)) {
-                        return double_pendulum_energy_f32_solve_scaled(S, z, y, tau, info);
-                    }
-                }
-                tau[0] = t_0;
-                tau[1] = t_1;
-                if (info != NULL) {
-                    return double_pendulum_energy_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
-                }
-                return DOUBLE_PENDULUM_ENERGY_F32_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if (y != NULL) {
+        const float y_0 = y[0];
+        const float y_1 = y[1];
+        const float rest = target - (s_0 * y_0 + s_1 * y_1);
+        const uint32_t size = double_pendulum_energy_f32_biased(rest);
+        if ((double_pendulum_energy_f32_above(square) | (size - 63) | (double_pendulum_energy_f32_biased(target) - size)) > 127) {
+            return double_pendulum_energy_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
+        const float scale = rest / square;
+        const float t_0 = y_0 + s_0 * scale;
+        const float t_1 = y_1 + s_1 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        if (info != NULL) {
+            return double_pendulum_energy_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+        }
+        return DOUBLE_PENDULUM_ENERGY_F32_OK;
     }
-    return double_pendulum_energy_f32_solve_scaled(S, z, y, tau, info);
+    if ((double_pendulum_energy_f32_above(square) | (double_pendulum_energy_f32_biased(target) - 63)) <= 127) {
+        const float scale = target / square;
+        const float t_0 = s_0 * scale;
+        const float t_1 = s_1 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        if (info != NULL) {
+            return double_pendulum_energy_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+        }
+        return DOUBLE_PENDULUM_ENERGY_F32_OK;
+    }
+    return double_pendulum_energy_f32_solve_values(s_0, s_1, target, y, tau, info);
 }
 
 static int double_pendulum_energy_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_energy_f32_info *info)
 {
     const float square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased_square(square), 97, 157)) {
+    if (double_pendulum_energy_f32_above(square) <= 127) {
         if (info != NULL) {
-            (void)double_pendulum_energy_f32_quick_info(square, 0.0f, info);
+            (void)double_pendulum_energy_f32_short_info(square, 0.0f, info);
         }
         for (j = 0; j < 2; ++j) {
             S_pinv[j] = S[j] / square;

@@ -278,7 +278,7 @@ static double_pendulum_energy_and_path_pair double_pendulum_energy_and_path_sinc
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_APART __attribute__((noinline))
 #else

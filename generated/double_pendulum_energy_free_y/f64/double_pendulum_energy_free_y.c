@@ -278,6 +278,12 @@ static double_pendulum_energy_free_y_pair double_pendulum_energy_free_y_sincos(d
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD
 #define DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL
 #endif
+/* Kept out of line, so that the steps before it stay short. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_APART __attribute__((noinline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_APART
+#endif
 
 /* 2^k, -1022 <= k <= 1023. */
 static double double_pendulum_energy_free_y_power(int k)
@@ -335,19 +341,6 @@ static uint64_t double_pendulum_energy_free_y_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint64_t double_pendulum_energy_free_y_biased_square(double square)
-{
-    double_pendulum_energy_free_y_word word;
-    word.value = square;
-    return word.bits >> 52;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int double_pendulum_energy_free_y_within(uint64_t biased, uint64_t low, uint64_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_energy_free_y_refuse(int status, double_pendulum_energy_free_y_info *info)
@@ -479,11 +472,17 @@ static int double_pendulum_energy_free_y_cancels(double rest, double target)
     return double_pendulum_energy_free_y_biased(rest) > double_pendulum_energy_free_y_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
-static int double_pendulum_energy_free_y_exhausted(double square, double tau_square, double rest, double target)
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+static int double_pendulum_energy_free_y_drowned(double rest, double target)
+{
+    return double_pendulum_energy_free_y_biased(rest) >= double_pendulum_energy_free_y_biased(target) + 48;
+}
+
+/* Whether they may be all that tau is, too: then one more. */
+static int double_pendulum_energy_free_y_exhausted(double square, double tau_square, double rest)
 {
     const double noise = rest * 3.552713678800501e-15;
-    return double_pendulum_energy_free_y_biased(noise) >= double_pendulum_energy_free_y_biased(target) && !(square * tau_square > noise * noise);
+    return !(square * tau_square > noise * noise);
 }
 
 /* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
@@ -529,19 +528,19 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_energy_free_y_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(y[1], -unit);
     }
-    refine = y != NULL && double_pendulum_energy_free_y_cancels(rest, target);
-    scale = row.rank ? double_pendulum_energy_free_y_over_square(&row, rest) : 0.0;
+    refine = y != NULL && row.rank && double_pendulum_energy_free_y_cancels(rest, target);
+    scale = refine ? rest * (1.0 / row.square) : row.rank ? double_pendulum_energy_free_y_over_square(&row, rest) : 0.0;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_free_y_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
-    if (refine && row.rank) {
+    if (refine) {
         (void)double_pendulum_energy_free_y_refine_row(&row, target, unit, answer);
         t_0 = double_pendulum_energy_free_y_shift(answer[0], -unit);
         t_1 = double_pendulum_energy_free_y_shift(answer[1], -unit);
-        if (double_pendulum_energy_free_y_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest, target)) {
+        if (double_pendulum_energy_free_y_drowned(rest, target) && double_pendulum_energy_free_y_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
             const double more = double_pendulum_energy_free_y_refine_row(&row, target, unit, answer);
             if (double_pendulum_energy_free_y_magnitude(double_pendulum_energy_free_y_shift(4.0 * more, unit)) > double_pendulum_energy_free_y_largest(answer, 2)) {
                 /* rounding errors twice over: nothing of y is left */
@@ -594,7 +593,17 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_pinv
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_quick_info(double square, double residual, double_pendulum_energy_free_y_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint64_t double_pendulum_energy_free_y_above(double square)
+{
+    double_pendulum_energy_free_y_word word;
+    word.value = square;
+    word.bits >>= 51;
+    return word.bits - 1534;
+}
+
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_short_info(double square, double residual, double_pendulum_energy_free_y_info *info)
 {
     info->status = DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_PATH_CLOSED_FORM;
@@ -605,63 +614,86 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_quic
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solve_values(double s_0, double s_1, double target, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
+{
+    const double S[2] = {s_0, s_1};
+    return double_pendulum_energy_free_y_solve_scaled(S, &target, y, tau, info);
+}
+
+/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_APART int double_pendulum_energy_free_y_solve_refined(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info, double square, double rest)
+{
+    if ((double_pendulum_energy_free_y_above(square) | (double_pendulum_energy_free_y_biased(rest) - 511)) <= 1023) {
+        const double s_0 = S[0];
+        const double s_1 = S[1];
+        const double target = z[0];
+        const double inverse = 1.0 / square;
+        const double scale = rest * inverse;
+        double t_0 = y[0] + s_0 * scale;
+        double t_1 = y[1] + s_1 * scale;
+        const double more = (target - (s_0 * t_0 + s_1 * t_1)) * inverse;
+        t_0 += s_0 * more;
+        t_1 += s_1 * more;
+        if (double_pendulum_energy_free_y_biased(more) <= 1534 &&
+            !(double_pendulum_energy_free_y_drowned(rest, target) && double_pendulum_energy_free_y_exhausted(square, t_0 * t_0 + t_1 * t_1, rest))) {
+            tau[0] = t_0;
+            tau[1] = t_1;
+            if (info != NULL) {
+                return double_pendulum_energy_free_y_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+            }
+            return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
+        }
+    }
+    return double_pendulum_energy_free_y_solve_scaled(S, z, y, tau, info);
+}
+
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL int double_pendulum_energy_free_y_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
 {
     const double s_0 = S[0];
     const double s_1 = S[1];
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(square), 823, 1223)) {
-        if (y == NULL) {
-            if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased(target), 323, 1723)) {
-                const double scale = target / square;
-                const double t_0 = s_0 * scale;
-                const double t_1 = s_1 * scale;
-                tau[0] = t_0;
-                tau[1] = t_1;
-                if (info != NULL) {
-                    return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
-                }
-                return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-            }
-        } else {
-            const double y_0 = y[0];
-            const double y_1 = y[1];
-            const double rest = target - (s_0 * y_0 + s_1 * y_1);
-            if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased(rest), 323, 1723)) {
-                const double scale = rest / square;
-                double t_0 = y_0 + s_0 * scale;
-                double t_1 = y_1 + s_1 * scale;
-                if (double_pendulum_energy_free_y_cancels(rest, target)) {
-                    const double more = (target - (s_0 * t_0 + s_1 * t_1)) * (1.0 / square);
-                    t_0 += s_0 * more;
-                    t_1 += s_1 * more;
-                    const double tau_square = t_0 * t_0 + t_1 * t_1;
-                    if (!double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(tau_square), 223, 1823) ||
-                        double_pendulum_energy_free_y_exhausted(square, tau_square, rest, target)) {
-                        return double_pendulum_energy_free_y_solve_scaled(S, z, y, tau, info);
-                    }
-                }
-                tau[0] = t_0;
-                tau[1] = t_1;
-                if (info != NULL) {
-                    return double_pendulum_energy_free_y_quick_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
-                }
-                return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if (y != NULL) {
+        const double y_0 = y[0];
+        const double y_1 = y[1];
+        const double rest = target - (s_0 * y_0 + s_1 * y_1);
+        const uint64_t size = double_pendulum_energy_free_y_biased(rest);
+        if ((double_pendulum_energy_free_y_above(square) | (size - 511) | (double_pendulum_energy_free_y_biased(target) - size)) > 1023) {
+            return double_pendulum_energy_free_y_solve_refined(S, z, y, tau, info, square, rest);
         }
+        const double scale = rest / square;
+        const double t_0 = y_0 + s_0 * scale;
+        const double t_1 = y_1 + s_1 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        if (info != NULL) {
+            return double_pendulum_energy_free_y_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+        }
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
     }
-    return double_pendulum_energy_free_y_solve_scaled(S, z, y, tau, info);
+    if ((double_pendulum_energy_free_y_above(square) | (double_pendulum_energy_free_y_biased(target) - 511)) <= 1023) {
+        const double scale = target / square;
+        const double t_0 = s_0 * scale;
+        const double t_1 = s_1 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        if (info != NULL) {
+            return double_pendulum_energy_free_y_short_info(square, target - (s_0 * t_0 + s_1 * t_1), info);
+        }
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
+    }
+    return double_pendulum_energy_free_y_solve_values(s_0, s_1, target, y, tau, info);
 }
 
 static int double_pendulum_energy_free_y_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info)
 {
     const double square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(square), 823, 1223)) {
+    if (double_pendulum_energy_free_y_above(square) <= 1023) {
         if (info != NULL) {
-            (void)double_pendulum_energy_free_y_quick_info(square, 0.0, info);
+            (void)double_pendulum_energy_free_y_short_info(square, 0.0, info);
         }
         for (j = 0; j < 2; ++j) {
             S_pinv[j] = S[j] / square;

@@ -235,7 +235,7 @@ static double_pendulum_ideal_f32_pair double_pendulum_ideal_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_IDEAL_F32_APART __attribute__((noinline))
 #else
@@ -1111,19 +1111,6 @@ static uint32_t double_pendulum_ideal_f32_reaction_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint32_t double_pendulum_ideal_f32_reaction_biased_square(float square)
-{
-    double_pendulum_ideal_f32_reaction_word word;
-    word.value = square;
-    return word.bits >> 23;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int double_pendulum_ideal_f32_reaction_within(uint32_t biased, uint32_t low, uint32_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_ideal_f32_reaction_refuse(int status, double_pendulum_ideal_f32_reaction_info *info)
@@ -1306,7 +1293,17 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     return status;
 }
 
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_quick_info(float square, float residual, double_pendulum_ideal_f32_reaction_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint32_t double_pendulum_ideal_f32_reaction_above(float square)
+{
+    double_pendulum_ideal_f32_reaction_word word;
+    word.value = square;
+    word.bits >>= 22;
+    return word.bits - 190;
+}
+
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_short_info(float square, float residual, double_pendulum_ideal_f32_reaction_info *info)
 {
     info->status = DOUBLE_PENDULUM_IDEAL_F32_OK;
     info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
@@ -1317,26 +1314,30 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_qui
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_values(float s_0, float target, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
+{
+    const float S[1] = {s_0};
+    return double_pendulum_ideal_f32_reaction_solve_scaled(S, &target, y, tau, info);
+}
+
 static DOUBLE_PENDULUM_IDEAL_F32_SMALL int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     const float s_0 = S[0];
     const float target = z[0];
     const float square = s_0 * s_0;
-    /* every NaN and infinity in S, z ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased_square(square), 97, 157)) {
-        if (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000)) {
-            if (double_pendulum_ideal_f32_reaction_within(double_pendulum_ideal_f32_reaction_biased(target), 67, 187)) {
-                const float scale = target / square;
-                const float t_0 = s_0 * scale;
-                tau[0] = t_0;
-                if (info != NULL) {
-                    return double_pendulum_ideal_f32_reaction_quick_info(square, target - (s_0 * t_0), info);
-                }
-                return DOUBLE_PENDULUM_IDEAL_F32_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if ((double_pendulum_ideal_f32_reaction_above(square) | (double_pendulum_ideal_f32_reaction_biased(target) - 63)) <= 127 &&
+        (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000))) {
+        const float scale = target / square;
+        const float t_0 = s_0 * scale;
+        tau[0] = t_0;
+        if (info != NULL) {
+            return double_pendulum_ideal_f32_reaction_short_info(square, target - (s_0 * t_0), info);
         }
+        return DOUBLE_PENDULUM_IDEAL_F32_OK;
     }
-    return double_pendulum_ideal_f32_reaction_solve_scaled(S, z, y, tau, info);
+    return double_pendulum_ideal_f32_reaction_solve_values(s_0, target, y, tau, info);
 }
 
 

@@ -269,7 +269,7 @@ static double_pendulum_ideal_pair double_pendulum_ideal_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define DOUBLE_PENDULUM_IDEAL_APART __attribute__((noinline))
 #else
@@ -1145,19 +1145,6 @@ static uint64_t double_pendulum_ideal_reaction_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint64_t double_pendulum_ideal_reaction_biased_square(double square)
-{
-    double_pendulum_ideal_reaction_word word;
-    word.value = square;
-    return word.bits >> 52;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int double_pendulum_ideal_reaction_within(uint64_t biased, uint64_t low, uint64_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_ideal_reaction_refuse(int status, double_pendulum_ideal_reaction_info *info)
@@ -1340,7 +1327,17 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     return status;
 }
 
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_quick_info(double square, double residual, double_pendulum_ideal_reaction_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint64_t double_pendulum_ideal_reaction_above(double square)
+{
+    double_pendulum_ideal_reaction_word word;
+    word.value = square;
+    word.bits >>= 51;
+    return word.bits - 1534;
+}
+
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_short_info(double square, double residual, double_pendulum_ideal_reaction_info *info)
 {
     info->status = DOUBLE_PENDULUM_IDEAL_OK;
     info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
@@ -1351,26 +1348,30 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_quick_info(
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_values(double s_0, double target, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+{
+    const double S[1] = {s_0};
+    return double_pendulum_ideal_reaction_solve_scaled(S, &target, y, tau, info);
+}
+
 static DOUBLE_PENDULUM_IDEAL_SMALL int double_pendulum_ideal_reaction_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double s_0 = S[0];
     const double target = z[0];
     const double square = s_0 * s_0;
-    /* every NaN and infinity in S, z ends in square or rest; so do atol, damping, overflow and underflow */
-    if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased_square(square), 823, 1223)) {
-        if (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000)) {
-            if (double_pendulum_ideal_reaction_within(double_pendulum_ideal_reaction_biased(target), 323, 1723)) {
-                const double scale = target / square;
-                const double t_0 = s_0 * scale;
-                tau[0] = t_0;
-                if (info != NULL) {
-                    return double_pendulum_ideal_reaction_quick_info(square, target - (s_0 * t_0), info);
-                }
-                return DOUBLE_PENDULUM_IDEAL_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if ((double_pendulum_ideal_reaction_above(square) | (double_pendulum_ideal_reaction_biased(target) - 511)) <= 1023 &&
+        (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000))) {
+        const double scale = target / square;
+        const double t_0 = s_0 * scale;
+        tau[0] = t_0;
+        if (info != NULL) {
+            return double_pendulum_ideal_reaction_short_info(square, target - (s_0 * t_0), info);
         }
+        return DOUBLE_PENDULUM_IDEAL_OK;
     }
-    return double_pendulum_ideal_reaction_solve_scaled(S, z, y, tau, info);
+    return double_pendulum_ideal_reaction_solve_values(s_0, target, y, tau, info);
 }
 
 

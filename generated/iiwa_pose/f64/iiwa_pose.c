@@ -260,7 +260,7 @@ static iiwa_pose_pair iiwa_pose_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define IIWA_POSE_APART __attribute__((noinline))
 #else

@@ -226,7 +226,7 @@ static iiwa_position_f32_pair iiwa_position_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define IIWA_POSITION_F32_APART __attribute__((noinline))
 #else

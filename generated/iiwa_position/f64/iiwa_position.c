@@ -260,7 +260,7 @@ static iiwa_position_pair iiwa_position_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define IIWA_POSITION_APART __attribute__((noinline))
 #else

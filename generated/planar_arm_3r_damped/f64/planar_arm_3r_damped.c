@@ -260,7 +260,7 @@ static planar_arm_3r_damped_pair planar_arm_3r_damped_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define PLANAR_ARM_3R_DAMPED_APART __attribute__((noinline))
 #else

@@ -226,7 +226,7 @@ static planar_arm_3r_weighted_f32_pair planar_arm_3r_weighted_f32_sincos(float x
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define PLANAR_ARM_3R_WEIGHTED_F32_APART __attribute__((noinline))
 #else

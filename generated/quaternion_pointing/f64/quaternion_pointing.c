@@ -90,7 +90,7 @@ static double quaternion_pointing_sqrt(double x)
 #endif
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define QUATERNION_POINTING_APART __attribute__((noinline))
 #else

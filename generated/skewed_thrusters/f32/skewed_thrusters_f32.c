@@ -90,7 +90,7 @@ static float skewed_thrusters_f32_sqrt(float x)
 #endif
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define SKEWED_THRUSTERS_F32_APART __attribute__((noinline))
 #else

@@ -99,6 +99,12 @@ static float spacecraft_f32_sqrt(float x)
 #define SPACECRAFT_F32_COLD
 #define SPACECRAFT_F32_SMALL
 #endif
+/* Kept out of line, so that the steps before it stay short. */
+#if defined(__GNUC__)
+#define SPACECRAFT_F32_APART __attribute__((noinline))
+#else
+#define SPACECRAFT_F32_APART
+#endif
 
 /* 2^k, -126 <= k <= 127. */
 static float spacecraft_f32_power(int k)
@@ -156,19 +162,6 @@ static uint32_t spacecraft_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint32_t spacecraft_f32_biased_square(float square)
-{
-    spacecraft_f32_word word;
-    word.value = square;
-    return word.bits >> 23;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int spacecraft_f32_within(uint32_t biased, uint32_t low, uint32_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int spacecraft_f32_refuse(int status, spacecraft_f32_info *info)
@@ -300,11 +293,17 @@ static int spacecraft_f32_cancels(float rest, float target)
     return spacecraft_f32_biased(rest) > spacecraft_f32_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
-static int spacecraft_f32_exhausted(float square, float tau_square, float rest, float target)
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+static int spacecraft_f32_drowned(float rest, float target)
+{
+    return spacecraft_f32_biased(rest) >= spacecraft_f32_biased(target) + 19;
+}
+
+/* Whether they may be all that tau is, too: then one more. */
+static int spacecraft_f32_exhausted(float square, float tau_square, float rest)
 {
     const float noise = rest * 1.9073486e-6f;
-    return spacecraft_f32_biased(noise) >= spacecraft_f32_biased(target) && !(square * tau_square > noise * noise);
+    return !(square * tau_square > noise * noise);
 }
 
 /* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
@@ -350,20 +349,20 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
     if (y != NULL) {
         rest -= row.s[0] * spacecraft_f32_shift(y[0], -unit) + row.s[1] * spacecraft_f32_shift(y[1], -unit) + row.s[2] * spacecraft_f32_shift(y[2], -unit);
     }
-    refine = y != NULL && spacecraft_f32_cancels(rest, target);
-    scale = row.rank ? spacecraft_f32_over_square(&row, rest) : 0.0f;
+    refine = y != NULL && row.rank && spacecraft_f32_cancels(rest, target);
+    scale = refine ? rest * (1.0f / row.square) : row.rank ? spacecraft_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_f32_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
-    if (refine && row.rank) {
+    if (refine) {
         (void)spacecraft_f32_refine_row(&row, target, unit, answer);
         t_0 = spacecraft_f32_shift(answer[0], -unit);
         t_1 = spacecraft_f32_shift(answer[1], -unit);
         t_2 = spacecraft_f32_shift(answer[2], -unit);
-        if (spacecraft_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+        if (spacecraft_f32_drowned(rest, target) && spacecraft_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
             const float more = spacecraft_f32_refine_row(&row, target, unit, answer);
             if (spacecraft_f32_magnitude(spacecraft_f32_shift(4.0f * more, unit)) > spacecraft_f32_largest(answer, 3)) {
                 /* rounding errors twice over: nothing of y is left */
@@ -416,7 +415,17 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_pinv_scaled(const float *S, float 
     return status;
 }
 
-static SPACECRAFT_F32_COLD int spacecraft_f32_quick_info(float square, float residual, spacecraft_f32_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint32_t spacecraft_f32_above(float square)
+{
+    spacecraft_f32_word word;
+    word.value = square;
+    word.bits >>= 22;
+    return word.bits - 190;
+}
+
+static SPACECRAFT_F32_COLD int spacecraft_f32_short_info(float square, float residual, spacecraft_f32_info *info)
 {
     info->status = SPACECRAFT_F32_OK;
     info->path = SPACECRAFT_F32_PATH_CLOSED_FORM;
@@ -427,6 +436,44 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_quick_info(float square, float res
     return SPACECRAFT_F32_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static SPACECRAFT_F32_COLD int spacecraft_f32_solve_values(float s_0, float s_1, float s_2, float target, const float *y, float *tau, spacecraft_f32_info *info)
+{
+    const float S[3] = {s_0, s_1, s_2};
+    return spacecraft_f32_solve_scaled(S, &target, y, tau, info);
+}
+
+/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
+static SPACECRAFT_F32_APART int spacecraft_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, spacecraft_f32_info *info, float square, float rest)
+{
+    if ((spacecraft_f32_above(square) | (spacecraft_f32_biased(rest) - 63)) <= 127) {
+        const float s_0 = S[0];
+        const float s_1 = S[1];
+        const float s_2 = S[2];
+        const float target = z[0];
+        const float inverse = 1.0f / square;
+        const float scale = rest * inverse;
+        float t_0 = y[0] + s_0 * scale;
+        float t_1 = y[1] + s_1 * scale;
+        float t_2 = y[2] + s_2 * scale;
+        const float more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * inverse;
+        t_0 += s_0 * more;
+        t_1 += s_1 * more;
+        t_2 += s_2 * more;
+        if (spacecraft_f32_biased(more) <= 190 &&
+            !(spacecraft_f32_drowned(rest, target) && spacecraft_f32_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest))) {
+            tau[0] = t_0;
+            tau[1] = t_1;
+            tau[2] = t_2;
+            if (info != NULL) {
+                return spacecraft_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+            }
+            return SPACECRAFT_F32_OK;
+        }
+    }
+    return spacecraft_f32_solve_scaled(S, z, y, tau, info);
+}
+
 static SPACECRAFT_F32_SMALL int spacecraft_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_f32_info *info)
 {
     const float s_0 = S[0];
@@ -434,63 +481,51 @@ static SPACECRAFT_F32_SMALL int spacecraft_f32_solve_core(const float *S, const 
     const float s_2 = S[2];
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (spacecraft_f32_within(spacecraft_f32_biased_square(square), 97, 157)) {
-        if (y == NULL) {
-            if (spacecraft_f32_within(spacecraft_f32_biased(target), 67, 187)) {
-                const float scale = target / square;
-                const float t_0 = s_0 * scale;
-                const float t_1 = s_1 * scale;
-                const float t_2 = s_2 * scale;
-                tau[0] = t_0;
-                tau[1] = t_1;
-                tau[2] = t_2;
-                if (info != NULL) {
-                    return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
-                }
-                return SPACECRAFT_F32_OK;
-            }
-        } else {
-            const float y_0 = y[0];
-            const float y_1 = y[1];
-            const float y_2 = y[2];
-            const float rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
-            if (spacecraft_f32_within(spacecraft_f32_biased(rest), 67, 187)) {
-                const float scale = rest / square;
-                float t_0 = y_0 + s_0 * scale;
-                float t_1 = y_1 + s_1 * scale;
-                float t_2 = y_2 + s_2 * scale;
-                if (spacecraft_f32_cancels(rest, target)) {
-                    const float more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * (1.0f / square);
-                    t_0 += s_0 * more;
-                    t_1 += s_1 * more;
-                    t_2 += s_2 * more;
-                    const float tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
-                    if (!spacecraft_f32_within(spacecraft_f32_biased_square(tau_square), 37, 217) ||
-                        spacecraft_f32_exhausted(square, tau_square, rest, target)) {
-                        return spacecraft_f32_solve_scaled(S, z, y, tau, info);
-                    }
-                }
-                tau[0] = t_0;
-                tau[1] = t_1;
-                tau[2] = t_2;
-                if (info != NULL) {
-                    return spacecraft_f32_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
-                }
-                return SPACECRAFT_F32_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if (y != NULL) {
+        const float y_0 = y[0];
+        const float y_1 = y[1];
+        const float y_2 = y[2];
+        const float rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
+        const uint32_t size = spacecraft_f32_biased(rest);
+        if ((spacecraft_f32_above(square) | (size - 63) | (spacecraft_f32_biased(target) - size)) > 127) {
+            return spacecraft_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
+        const float scale = rest / square;
+        const float t_0 = y_0 + s_0 * scale;
+        const float t_1 = y_1 + s_1 * scale;
+        const float t_2 = y_2 + s_2 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        tau[2] = t_2;
+        if (info != NULL) {
+            return spacecraft_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+        }
+        return SPACECRAFT_F32_OK;
     }
-    return spacecraft_f32_solve_scaled(S, z, y, tau, info);
+    if ((spacecraft_f32_above(square) | (spacecraft_f32_biased(target) - 63)) <= 127) {
+        const float scale = target / square;
+        const float t_0 = s_0 * scale;
+        const float t_1 = s_1 * scale;
+        const float t_2 = s_2 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        tau[2] = t_2;
+        if (info != NULL) {
+            return spacecraft_f32_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+        }
+        return SPACECRAFT_F32_OK;
+    }
+    return spacecraft_f32_solve_values(s_0, s_1, s_2, target, y, tau, info);
 }
 
 static int spacecraft_f32_pinv_core(const float *S, float *S_pinv, spacecraft_f32_info *info)
 {
     const float square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_f32_within(spacecraft_f32_biased_square(square), 97, 157)) {
+    if (spacecraft_f32_above(square) <= 127) {
         if (info != NULL) {
-            (void)spacecraft_f32_quick_info(square, 0.0f, info);
+            (void)spacecraft_f32_short_info(square, 0.0f, info);
         }
         for (j = 0; j < 3; ++j) {
             S_pinv[j] = S[j] / square;

@@ -99,6 +99,12 @@ static double spacecraft_sqrt(double x)
 #define SPACECRAFT_COLD
 #define SPACECRAFT_SMALL
 #endif
+/* Kept out of line, so that the steps before it stay short. */
+#if defined(__GNUC__)
+#define SPACECRAFT_APART __attribute__((noinline))
+#else
+#define SPACECRAFT_APART
+#endif
 
 /* 2^k, -1022 <= k <= 1023. */
 static double spacecraft_power(int k)
@@ -156,19 +162,6 @@ static uint64_t spacecraft_biased(double x)
     return word.bits << 1 >> 53;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
-static uint64_t spacecraft_biased_square(double square)
-{
-    spacecraft_word word;
-    word.value = square;
-    return word.bits >> 52;
-}
-
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
-static int spacecraft_within(uint64_t biased, uint64_t low, uint64_t high)
-{
-    return biased - low <= high - low; /* unsigned: one comparison */
-}
 
 /* Negative: nothing but the status is known. */
 static int spacecraft_refuse(int status, spacecraft_info *info)
@@ -300,11 +293,17 @@ static int spacecraft_cancels(double rest, double target)
     return spacecraft_biased(rest) > spacecraft_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that tau and the task are: then once more. */
-static int spacecraft_exhausted(double square, double tau_square, double rest, double target)
+/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+static int spacecraft_drowned(double rest, double target)
+{
+    return spacecraft_biased(rest) >= spacecraft_biased(target) + 48;
+}
+
+/* Whether they may be all that tau is, too: then one more. */
+static int spacecraft_exhausted(double square, double tau_square, double rest)
 {
     const double noise = rest * 3.552713678800501e-15;
-    return spacecraft_biased(noise) >= spacecraft_biased(target) && !(square * tau_square > noise * noise);
+    return !(square * tau_square > noise * noise);
 }
 
 /* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
@@ -350,20 +349,20 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
     if (y != NULL) {
         rest -= row.s[0] * spacecraft_shift(y[0], -unit) + row.s[1] * spacecraft_shift(y[1], -unit) + row.s[2] * spacecraft_shift(y[2], -unit);
     }
-    refine = y != NULL && spacecraft_cancels(rest, target);
-    scale = row.rank ? spacecraft_over_square(&row, rest) : 0.0;
+    refine = y != NULL && row.rank && spacecraft_cancels(rest, target);
+    scale = refine ? rest * (1.0 / row.square) : row.rank ? spacecraft_over_square(&row, rest) : 0.0;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_shift(row.s[j] * scale, unit);
         if (y != NULL) {
             answer[j] = y[j] + answer[j];
         }
     }
-    if (refine && row.rank) {
+    if (refine) {
         (void)spacecraft_refine_row(&row, target, unit, answer);
         t_0 = spacecraft_shift(answer[0], -unit);
         t_1 = spacecraft_shift(answer[1], -unit);
         t_2 = spacecraft_shift(answer[2], -unit);
-        if (spacecraft_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest, target)) {
+        if (spacecraft_drowned(rest, target) && spacecraft_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
             const double more = spacecraft_refine_row(&row, target, unit, answer);
             if (spacecraft_magnitude(spacecraft_shift(4.0 * more, unit)) > spacecraft_largest(answer, 3)) {
                 /* rounding errors twice over: nothing of y is left */
@@ -416,7 +415,17 @@ static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pin
     return status;
 }
 
-static SPACECRAFT_COLD int spacecraft_quick_info(double square, double residual, spacecraft_info *info)
+/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
+   and infinity. */
+static uint64_t spacecraft_above(double square)
+{
+    spacecraft_word word;
+    word.value = square;
+    word.bits >>= 51;
+    return word.bits - 1534;
+}
+
+static SPACECRAFT_COLD int spacecraft_short_info(double square, double residual, spacecraft_info *info)
 {
     info->status = SPACECRAFT_OK;
     info->path = SPACECRAFT_PATH_CLOSED_FORM;
@@ -427,6 +436,44 @@ static SPACECRAFT_COLD int spacecraft_quick_info(double square, double residual,
     return SPACECRAFT_OK;
 }
 
+/* By value: so that the short form needs S and z in no memory. */
+static SPACECRAFT_COLD int spacecraft_solve_values(double s_0, double s_1, double s_2, double target, const double *y, double *tau, spacecraft_info *info)
+{
+    const double S[3] = {s_0, s_1, s_2};
+    return spacecraft_solve_scaled(S, &target, y, tau, info);
+}
+
+/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
+static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info, double square, double rest)
+{
+    if ((spacecraft_above(square) | (spacecraft_biased(rest) - 511)) <= 1023) {
+        const double s_0 = S[0];
+        const double s_1 = S[1];
+        const double s_2 = S[2];
+        const double target = z[0];
+        const double inverse = 1.0 / square;
+        const double scale = rest * inverse;
+        double t_0 = y[0] + s_0 * scale;
+        double t_1 = y[1] + s_1 * scale;
+        double t_2 = y[2] + s_2 * scale;
+        const double more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * inverse;
+        t_0 += s_0 * more;
+        t_1 += s_1 * more;
+        t_2 += s_2 * more;
+        if (spacecraft_biased(more) <= 1534 &&
+            !(spacecraft_drowned(rest, target) && spacecraft_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest))) {
+            tau[0] = t_0;
+            tau[1] = t_1;
+            tau[2] = t_2;
+            if (info != NULL) {
+                return spacecraft_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+            }
+            return SPACECRAFT_OK;
+        }
+    }
+    return spacecraft_solve_scaled(S, z, y, tau, info);
+}
+
 static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
 {
     const double s_0 = S[0];
@@ -434,63 +481,51 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
     const double s_2 = S[2];
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
-    /* every NaN and infinity in S, z, y ends in square or rest; so do atol, damping, overflow and underflow */
-    if (spacecraft_within(spacecraft_biased_square(square), 823, 1223)) {
-        if (y == NULL) {
-            if (spacecraft_within(spacecraft_biased(target), 323, 1723)) {
-                const double scale = target / square;
-                const double t_0 = s_0 * scale;
-                const double t_1 = s_1 * scale;
-                const double t_2 = s_2 * scale;
-                tau[0] = t_0;
-                tau[1] = t_1;
-                tau[2] = t_2;
-                if (info != NULL) {
-                    return spacecraft_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
-                }
-                return SPACECRAFT_OK;
-            }
-        } else {
-            const double y_0 = y[0];
-            const double y_1 = y[1];
-            const double y_2 = y[2];
-            const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
-            if (spacecraft_within(spacecraft_biased(rest), 323, 1723)) {
-                const double scale = rest / square;
-                double t_0 = y_0 + s_0 * scale;
-                double t_1 = y_1 + s_1 * scale;
-                double t_2 = y_2 + s_2 * scale;
-                if (spacecraft_cancels(rest, target)) {
-                    const double more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * (1.0 / square);
-                    t_0 += s_0 * more;
-                    t_1 += s_1 * more;
-                    t_2 += s_2 * more;
-                    const double tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
-                    if (!spacecraft_within(spacecraft_biased_square(tau_square), 223, 1823) ||
-                        spacecraft_exhausted(square, tau_square, rest, target)) {
-                        return spacecraft_solve_scaled(S, z, y, tau, info);
-                    }
-                }
-                tau[0] = t_0;
-                tau[1] = t_1;
-                tau[2] = t_2;
-                if (info != NULL) {
-                    return spacecraft_quick_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
-                }
-                return SPACECRAFT_OK;
-            }
+    /* one comparison for all: what is out of range sets high bits */
+    if (y != NULL) {
+        const double y_0 = y[0];
+        const double y_1 = y[1];
+        const double y_2 = y[2];
+        const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
+        const uint64_t size = spacecraft_biased(rest);
+        if ((spacecraft_above(square) | (size - 511) | (spacecraft_biased(target) - size)) > 1023) {
+            return spacecraft_solve_refined(S, z, y, tau, info, square, rest);
         }
+        const double scale = rest / square;
+        const double t_0 = y_0 + s_0 * scale;
+        const double t_1 = y_1 + s_1 * scale;
+        const double t_2 = y_2 + s_2 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        tau[2] = t_2;
+        if (info != NULL) {
+            return spacecraft_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+        }
+        return SPACECRAFT_OK;
     }
-    return spacecraft_solve_scaled(S, z, y, tau, info);
+    if ((spacecraft_above(square) | (spacecraft_biased(target) - 511)) <= 1023) {
+        const double scale = target / square;
+        const double t_0 = s_0 * scale;
+        const double t_1 = s_1 * scale;
+        const double t_2 = s_2 * scale;
+        tau[0] = t_0;
+        tau[1] = t_1;
+        tau[2] = t_2;
+        if (info != NULL) {
+            return spacecraft_short_info(square, target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2), info);
+        }
+        return SPACECRAFT_OK;
+    }
+    return spacecraft_solve_values(s_0, s_1, s_2, target, y, tau, info);
 }
 
 static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info *info)
 {
     const double square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_within(spacecraft_biased_square(square), 823, 1223)) {
+    if (spacecraft_above(square) <= 1023) {
         if (info != NULL) {
-            (void)spacecraft_quick_info(square, 0.0, info);
+            (void)spacecraft_short_info(square, 0.0, info);
         }
         for (j = 0; j < 3; ++j) {
             S_pinv[j] = S[j] / square;

@@ -226,7 +226,7 @@ static unicycle_path_f32_pair unicycle_path_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define UNICYCLE_PATH_F32_APART __attribute__((noinline))
 #else

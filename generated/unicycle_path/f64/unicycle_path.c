@@ -260,7 +260,7 @@ static unicycle_path_pair unicycle_path_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps of the ladder before it stay short. */
+/* Kept out of line, so that the steps before it stay short. */
 #if defined(__GNUC__)
 #define UNICYCLE_PATH_APART __attribute__((noinline))
 #else

@@ -18,11 +18,11 @@ HERE = Path(__file__).parent
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L")
 REAL = {"float64": "double", "float32": "float"}
 BAR = 1.5  # times the bare formula, checks included
-KINDS = ("without y", "mild y", "random y")
+KINDS = ("without y", "mild y", "random y", "random y and bare refined")
 
 
 def measure(l: int, scalar: Scalar, rounds: int, folder: Path) -> list[float]:
-    """Ours over bare: without y, with a y that needs no refinement, and with a random one."""
+    """Ours over bare: without y, with a y that needs no refinement, with a random one; and this over bare refined."""
     package = sg.build_solver(1, l, folder, scalar=scalar, prefix="ours")
     defines = [f"-DREAL={REAL[scalar]}", f"-DCOLUMNS={l}", f'-DOURS_HEADER="{package.path}/ours.h"']
     sources = [str(source) for source in (package.path / "ours.c", HERE / "bare_row.c", HERE / "row.c")]
