@@ -60,7 +60,9 @@ def compile_text(text, compiler, folder, *flags):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_strict_flags(shape, scalar, compiler, tmp_path, need_tool):
     need_tool(compiler, compiler)
-    for solver in SOLVERS.values():
+    for name, solver in SOLVERS.items():
+        if shape == SHAPES[-1] and name.startswith("raw"):
+            continue  # as in 3 x 7, and gcc would take its time
         done = compile_text(render(*shape, scalar, solver), compiler, tmp_path, "-O2")
         assert done.returncode == 0, done.stderr
 

@@ -10,13 +10,11 @@ def is_constant(program: Program, k: int) -> bool:
 def depends_on_parameters_alone(program: Program) -> list[bool]:
     """Per instruction: known once the parameters are, and not a constant."""
     kinds = {i.name: i.kind for i in program.inputs}
-    result: list[bool] = []
-    for k, instr in enumerate(program.instrs):
+    known: list[bool] = []  # constants too
+    for instr in program.instrs:
         if instr.op == "input":
             assert isinstance(instr.const, tuple)
-            result.append(kinds[instr.const[0]] == "parameter")
-        elif is_constant(program, k):
-            result.append(False)
+            known.append(kinds[instr.const[0]] == "parameter")
         else:
-            result.append(all(result[a] or is_constant(program, a) for a in instr.args))
-    return result
+            known.append(all(known[a] for a in instr.args))  # of a constant: no arguments
+    return [yes and instr.op != "const" for yes, instr in zip(known, program.instrs, strict=True)]

@@ -681,7 +681,7 @@ static int double_pendulum_energy_f32_input_finite(const double_pendulum_energy_
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_reason(const double_pendulum_energy_f32_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_reason(int status, const double_pendulum_energy_f32_input *in)
 {
     if (!double_pendulum_energy_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
@@ -857,7 +857,7 @@ int double_pendulum_energy_f32_psi(const double_pendulum_energy_f32_model *model
     float new_psi[1];
     double_pendulum_energy_f32_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_f32_finite(new_psi, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
+        return double_pendulum_energy_f32_reason(DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW, in);
     }
     double_pendulum_energy_f32_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
@@ -871,7 +871,7 @@ int double_pendulum_energy_f32_S(const double_pendulum_energy_f32_model *model, 
     }
     double_pendulum_energy_f32_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_f32_finite(new_S, 2))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
+        return double_pendulum_energy_f32_reason(DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW, in);
     }
     double_pendulum_energy_f32_copy(new_S, S, 2);
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
@@ -882,7 +882,7 @@ int double_pendulum_energy_f32_z(const double_pendulum_energy_f32_model *model, 
     float new_z[1];
     double_pendulum_energy_f32_eval_z(model, in, new_z);
     if (!(double_pendulum_energy_f32_finite(new_z, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
+        return double_pendulum_energy_f32_reason(DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW, in);
     }
     double_pendulum_energy_f32_copy(new_z, z, 1);
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
@@ -894,7 +894,7 @@ int double_pendulum_energy_f32_S_z(const double_pendulum_energy_f32_model *model
     float new_z[1];
     double_pendulum_energy_f32_eval_S_z(model, in, new_S, new_z);
     if (!(double_pendulum_energy_f32_finite(new_S, 2) && double_pendulum_energy_f32_finite(new_z, 1))) {
-        return double_pendulum_energy_f32_reason(in, DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW);
+        return double_pendulum_energy_f32_reason(DOUBLE_PENDULUM_ENERGY_F32_OVERFLOW, in);
     }
     double_pendulum_energy_f32_copy(new_S, S, 2);
     double_pendulum_energy_f32_copy(new_z, z, 1);
@@ -915,6 +915,11 @@ int double_pendulum_energy_f32_pinv(const float *S, float *S_pinv, double_pendul
     return double_pendulum_energy_f32_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_failed(int status, const double_pendulum_energy_f32_input *in, double_pendulum_energy_f32_info *info)
+{
+    return double_pendulum_energy_f32_refuse(double_pendulum_energy_f32_reason(status, in), info);
+}
+
 int double_pendulum_energy_f32_control(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *tau, double_pendulum_energy_f32_info *info)
 {
     float S[2], z[1];
@@ -923,7 +928,7 @@ int double_pendulum_energy_f32_control(const double_pendulum_energy_f32_model *m
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_f32_refuse(double_pendulum_energy_f32_reason(in, status), info);
+        return double_pendulum_energy_f32_failed(status, in, info);
     }
     return status;
 }

@@ -715,7 +715,7 @@ static int double_pendulum_energy_input_finite(const double_pendulum_energy_inpu
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(const double_pendulum_energy_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(int status, const double_pendulum_energy_input *in)
 {
     if (!double_pendulum_energy_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
@@ -891,7 +891,7 @@ int double_pendulum_energy_psi(const double_pendulum_energy_model *model, const 
     double new_psi[1];
     double_pendulum_energy_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_finite(new_psi, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
+        return double_pendulum_energy_reason(DOUBLE_PENDULUM_ENERGY_OVERFLOW, in);
     }
     double_pendulum_energy_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_ENERGY_OK;
@@ -905,7 +905,7 @@ int double_pendulum_energy_S(const double_pendulum_energy_model *model, const do
     }
     double_pendulum_energy_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_finite(new_S, 2))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
+        return double_pendulum_energy_reason(DOUBLE_PENDULUM_ENERGY_OVERFLOW, in);
     }
     double_pendulum_energy_copy(new_S, S, 2);
     return DOUBLE_PENDULUM_ENERGY_OK;
@@ -916,7 +916,7 @@ int double_pendulum_energy_z(const double_pendulum_energy_model *model, const do
     double new_z[1];
     double_pendulum_energy_eval_z(model, in, new_z);
     if (!(double_pendulum_energy_finite(new_z, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
+        return double_pendulum_energy_reason(DOUBLE_PENDULUM_ENERGY_OVERFLOW, in);
     }
     double_pendulum_energy_copy(new_z, z, 1);
     return DOUBLE_PENDULUM_ENERGY_OK;
@@ -928,7 +928,7 @@ int double_pendulum_energy_S_z(const double_pendulum_energy_model *model, const 
     double new_z[1];
     double_pendulum_energy_eval_S_z(model, in, new_S, new_z);
     if (!(double_pendulum_energy_finite(new_S, 2) && double_pendulum_energy_finite(new_z, 1))) {
-        return double_pendulum_energy_reason(in, DOUBLE_PENDULUM_ENERGY_OVERFLOW);
+        return double_pendulum_energy_reason(DOUBLE_PENDULUM_ENERGY_OVERFLOW, in);
     }
     double_pendulum_energy_copy(new_S, S, 2);
     double_pendulum_energy_copy(new_z, z, 1);
@@ -949,6 +949,11 @@ int double_pendulum_energy_pinv(const double *S, double *S_pinv, double_pendulum
     return double_pendulum_energy_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_failed(int status, const double_pendulum_energy_input *in, double_pendulum_energy_info *info)
+{
+    return double_pendulum_energy_refuse(double_pendulum_energy_reason(status, in), info);
+}
+
 int double_pendulum_energy_control(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *tau, double_pendulum_energy_info *info)
 {
     double S[2], z[1];
@@ -957,7 +962,7 @@ int double_pendulum_energy_control(const double_pendulum_energy_model *model, co
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_refuse(double_pendulum_energy_reason(in, status), info);
+        return double_pendulum_energy_failed(status, in, info);
     }
     return status;
 }

@@ -1293,7 +1293,7 @@ static int double_pendulum_energy_and_path_f32_input_finite(const double_pendulu
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_reason(const double_pendulum_energy_and_path_f32_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_reason(int status, const double_pendulum_energy_and_path_f32_input *in)
 {
     if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
@@ -1591,7 +1591,7 @@ int double_pendulum_energy_and_path_f32_psi(const double_pendulum_energy_and_pat
     float new_psi[2];
     double_pendulum_energy_and_path_f32_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_and_path_f32_finite(new_psi, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
+        return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_f32_copy(new_psi, psi, 2);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
@@ -1608,10 +1608,10 @@ int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_
     double_pendulum_energy_and_path_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
+        return double_pendulum_energy_and_path_f32_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
+        return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_f32_copy(new_S, S, 4);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
@@ -1625,10 +1625,10 @@ int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_
     double_pendulum_energy_and_path_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
+        return double_pendulum_energy_and_path_f32_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
+        return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_f32_copy(new_z, z, 2);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
@@ -1643,10 +1643,10 @@ int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_pat
     double_pendulum_energy_and_path_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_reason(in, status);
+        return double_pendulum_energy_and_path_f32_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4) && double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
-        return double_pendulum_energy_and_path_f32_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW);
+        return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_f32_copy(new_S, S, 4);
     double_pendulum_energy_and_path_f32_copy(new_z, z, 2);
@@ -1667,6 +1667,11 @@ int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, doub
     return double_pendulum_energy_and_path_f32_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_failed(int status, const double_pendulum_energy_and_path_f32_input *in, double_pendulum_energy_and_path_f32_info *info)
+{
+    return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(status, in), info);
+}
+
 int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *tau, double_pendulum_energy_and_path_f32_info *info)
 {
     float S[4], z[2];
@@ -1675,12 +1680,12 @@ int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and
     double_pendulum_energy_and_path_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(in, status), info);
+        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(in, status), info);
+        return double_pendulum_energy_and_path_f32_failed(status, in, info);
     }
     return status;
 }

@@ -1327,7 +1327,7 @@ static int double_pendulum_energy_and_path_input_finite(const double_pendulum_en
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_reason(const double_pendulum_energy_and_path_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_reason(int status, const double_pendulum_energy_and_path_input *in)
 {
     if (!double_pendulum_energy_and_path_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
@@ -1625,7 +1625,7 @@ int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_mo
     double new_psi[2];
     double_pendulum_energy_and_path_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_and_path_finite(new_psi, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
+        return double_pendulum_energy_and_path_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_copy(new_psi, psi, 2);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
@@ -1642,10 +1642,10 @@ int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_mode
     double_pendulum_energy_and_path_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
+        return double_pendulum_energy_and_path_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_finite(new_S, 4))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
+        return double_pendulum_energy_and_path_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_copy(new_S, S, 4);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
@@ -1659,10 +1659,10 @@ int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_mode
     double_pendulum_energy_and_path_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
+        return double_pendulum_energy_and_path_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_finite(new_z, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
+        return double_pendulum_energy_and_path_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_copy(new_z, z, 2);
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
@@ -1677,10 +1677,10 @@ int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_mo
     double_pendulum_energy_and_path_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_reason(in, status);
+        return double_pendulum_energy_and_path_reason(status, in);
     }
     if (!(double_pendulum_energy_and_path_finite(new_S, 4) && double_pendulum_energy_and_path_finite(new_z, 2))) {
-        return double_pendulum_energy_and_path_reason(in, DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW);
+        return double_pendulum_energy_and_path_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_copy(new_S, S, 4);
     double_pendulum_energy_and_path_copy(new_z, z, 2);
@@ -1701,6 +1701,11 @@ int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double
     return double_pendulum_energy_and_path_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_failed(int status, const double_pendulum_energy_and_path_input *in, double_pendulum_energy_and_path_info *info)
+{
+    return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(status, in), info);
+}
+
 int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info)
 {
     double S[4], z[2];
@@ -1709,12 +1714,12 @@ int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_pat
     double_pendulum_energy_and_path_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(in, status), info);
+        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(in, status), info);
+        return double_pendulum_energy_and_path_failed(status, in, info);
     }
     return status;
 }

@@ -707,7 +707,7 @@ static int double_pendulum_energy_free_y_f32_input_finite(const double_pendulum_
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_reason(const double_pendulum_energy_free_y_f32_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_reason(int status, const double_pendulum_energy_free_y_f32_input *in)
 {
     if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
@@ -993,7 +993,7 @@ int double_pendulum_energy_free_y_f32_psi(const double_pendulum_energy_free_y_f3
     float new_psi[1];
     double_pendulum_energy_free_y_f32_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_free_y_f32_finite(new_psi, 1))) {
-        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
+        return double_pendulum_energy_free_y_f32_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_f32_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
@@ -1007,7 +1007,7 @@ int double_pendulum_energy_free_y_f32_S(const double_pendulum_energy_free_y_f32_
     }
     double_pendulum_energy_free_y_f32_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_free_y_f32_finite(new_S, 2))) {
-        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
+        return double_pendulum_energy_free_y_f32_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_f32_copy(new_S, S, 2);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
@@ -1018,7 +1018,7 @@ int double_pendulum_energy_free_y_f32_z(const double_pendulum_energy_free_y_f32_
     float new_z[1];
     double_pendulum_energy_free_y_f32_eval_z(model, in, new_z);
     if (!(double_pendulum_energy_free_y_f32_finite(new_z, 1))) {
-        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
+        return double_pendulum_energy_free_y_f32_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_f32_copy(new_z, z, 1);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
@@ -1030,7 +1030,7 @@ int double_pendulum_energy_free_y_f32_S_z(const double_pendulum_energy_free_y_f3
     float new_z[1];
     double_pendulum_energy_free_y_f32_eval_S_z(model, in, new_S, new_z);
     if (!(double_pendulum_energy_free_y_f32_finite(new_S, 2) && double_pendulum_energy_free_y_f32_finite(new_z, 1))) {
-        return double_pendulum_energy_free_y_f32_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW);
+        return double_pendulum_energy_free_y_f32_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_f32_copy(new_S, S, 2);
     double_pendulum_energy_free_y_f32_copy(new_z, z, 1);
@@ -1051,6 +1051,11 @@ int double_pendulum_energy_free_y_f32_pinv(const float *S, float *S_pinv, double
     return double_pendulum_energy_free_y_f32_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_failed(int status, const double_pendulum_energy_free_y_f32_input *in, double_pendulum_energy_free_y_f32_info *info)
+{
+    return double_pendulum_energy_free_y_f32_refuse(double_pendulum_energy_free_y_f32_reason(status, in), info);
+}
+
 int double_pendulum_energy_free_y_f32_control(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     float S[2], z[1], y[2];
@@ -1059,7 +1064,7 @@ int double_pendulum_energy_free_y_f32_control(const double_pendulum_energy_free_
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_free_y_f32_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_free_y_f32_refuse(double_pendulum_energy_free_y_f32_reason(in, status), info);
+        return double_pendulum_energy_free_y_f32_failed(status, in, info);
     }
     return status;
 }

@@ -741,7 +741,7 @@ static int double_pendulum_energy_free_y_input_finite(const double_pendulum_ener
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_reason(const double_pendulum_energy_free_y_input *in, int status)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_reason(int status, const double_pendulum_energy_free_y_input *in)
 {
     if (!double_pendulum_energy_free_y_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
@@ -1027,7 +1027,7 @@ int double_pendulum_energy_free_y_psi(const double_pendulum_energy_free_y_model 
     double new_psi[1];
     double_pendulum_energy_free_y_eval_psi(model, in, new_psi);
     if (!(double_pendulum_energy_free_y_finite(new_psi, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
+        return double_pendulum_energy_free_y_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
@@ -1041,7 +1041,7 @@ int double_pendulum_energy_free_y_S(const double_pendulum_energy_free_y_model *m
     }
     double_pendulum_energy_free_y_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_free_y_finite(new_S, 2))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
+        return double_pendulum_energy_free_y_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_copy(new_S, S, 2);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
@@ -1052,7 +1052,7 @@ int double_pendulum_energy_free_y_z(const double_pendulum_energy_free_y_model *m
     double new_z[1];
     double_pendulum_energy_free_y_eval_z(model, in, new_z);
     if (!(double_pendulum_energy_free_y_finite(new_z, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
+        return double_pendulum_energy_free_y_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_copy(new_z, z, 1);
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
@@ -1064,7 +1064,7 @@ int double_pendulum_energy_free_y_S_z(const double_pendulum_energy_free_y_model 
     double new_z[1];
     double_pendulum_energy_free_y_eval_S_z(model, in, new_S, new_z);
     if (!(double_pendulum_energy_free_y_finite(new_S, 2) && double_pendulum_energy_free_y_finite(new_z, 1))) {
-        return double_pendulum_energy_free_y_reason(in, DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW);
+        return double_pendulum_energy_free_y_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_OVERFLOW, in);
     }
     double_pendulum_energy_free_y_copy(new_S, S, 2);
     double_pendulum_energy_free_y_copy(new_z, z, 1);
@@ -1085,6 +1085,11 @@ int double_pendulum_energy_free_y_pinv(const double *S, double *S_pinv, double_p
     return double_pendulum_energy_free_y_pinv_core(S, S_pinv, info);
 }
 
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_failed(int status, const double_pendulum_energy_free_y_input *in, double_pendulum_energy_free_y_info *info)
+{
+    return double_pendulum_energy_free_y_refuse(double_pendulum_energy_free_y_reason(status, in), info);
+}
+
 int double_pendulum_energy_free_y_control(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *tau, double_pendulum_energy_free_y_info *info)
 {
     double S[2], z[1], y[2];
@@ -1093,7 +1098,7 @@ int double_pendulum_energy_free_y_control(const double_pendulum_energy_free_y_mo
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_free_y_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return double_pendulum_energy_free_y_refuse(double_pendulum_energy_free_y_reason(in, status), info);
+        return double_pendulum_energy_free_y_failed(status, in, info);
     }
     return status;
 }

@@ -1389,7 +1389,7 @@ static int double_pendulum_ideal_f32_input_finite(const double_pendulum_ideal_f3
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(const double_pendulum_ideal_f32_input *in, int status)
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(int status, const double_pendulum_ideal_f32_input *in)
 {
     if (!double_pendulum_ideal_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
@@ -1541,7 +1541,7 @@ static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(co
 {
     double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
     if (!(double_pendulum_ideal_f32_finite(reaction_right, 1) && double_pendulum_ideal_f32_finite(J, 2))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
+        return double_pendulum_ideal_f32_reason(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, in);
     }
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
@@ -1629,7 +1629,7 @@ int double_pendulum_ideal_f32_psi(const double_pendulum_ideal_f32_model *model, 
     float new_psi[1];
     double_pendulum_ideal_f32_eval_psi(model, in, new_psi);
     if (!(double_pendulum_ideal_f32_finite(new_psi, 1))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
+        return double_pendulum_ideal_f32_reason(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, in);
     }
     double_pendulum_ideal_f32_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
@@ -1643,7 +1643,7 @@ int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model, co
     }
     double_pendulum_ideal_f32_eval_T(model, in, new_T);
     if (!(double_pendulum_ideal_f32_finite(new_T, 4))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
+        return double_pendulum_ideal_f32_reason(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, in);
     }
     double_pendulum_ideal_f32_copy(new_T, T, 4);
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
@@ -1654,7 +1654,7 @@ int double_pendulum_ideal_f32_F(const double_pendulum_ideal_f32_model *model, co
     float new_F[2];
     double_pendulum_ideal_f32_eval_F(model, in, new_F);
     if (!(double_pendulum_ideal_f32_finite(new_F, 2))) {
-        return double_pendulum_ideal_f32_reason(in, DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW);
+        return double_pendulum_ideal_f32_reason(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, in);
     }
     double_pendulum_ideal_f32_copy(new_F, F, 2);
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
@@ -1672,6 +1672,11 @@ const double_pendulum_ideal_f32_params double_pendulum_ideal_f32_params_default 
 int double_pendulum_ideal_f32_pinv(const float *G, float *G_pinv, double_pendulum_ideal_f32_info *info)
 {
     return double_pendulum_ideal_f32_pinv_core(G, G_pinv, info);
+}
+
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_failed(int status, const double_pendulum_ideal_f32_input *in, double_pendulum_ideal_f32_info *info)
+{
+    return double_pendulum_ideal_f32_refuse(double_pendulum_ideal_f32_reason(status, in), info);
 }
 
 /* G and its pseudo-inverse, row by row: computed at generation in exact rationals. */
@@ -1781,7 +1786,7 @@ int double_pendulum_ideal_f32_control(const double_pendulum_ideal_f32_model *mod
     }
     status = double_pendulum_ideal_f32_solve_known(double_pendulum_ideal_f32_known_matrix, double_pendulum_ideal_f32_known_pinv, &double_pendulum_ideal_f32_known_info, R, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_ideal_f32_refuse(double_pendulum_ideal_f32_reason(in, status), info);
+        return double_pendulum_ideal_f32_failed(status, in, info);
     }
     if (reaction > status) { /* the constraints themselves could not all be met */
         status = reaction;

@@ -1423,7 +1423,7 @@ static int double_pendulum_ideal_input_finite(const double_pendulum_ideal_input 
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(const double_pendulum_ideal_input *in, int status)
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(int status, const double_pendulum_ideal_input *in)
 {
     if (!double_pendulum_ideal_input_finite(in)) {
         return DOUBLE_PENDULUM_IDEAL_NONFINITE;
@@ -1575,7 +1575,7 @@ static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const 
 {
     double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
     if (!(double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
+        return double_pendulum_ideal_reason(DOUBLE_PENDULUM_IDEAL_OVERFLOW, in);
     }
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
@@ -1663,7 +1663,7 @@ int double_pendulum_ideal_psi(const double_pendulum_ideal_model *model, const do
     double new_psi[1];
     double_pendulum_ideal_eval_psi(model, in, new_psi);
     if (!(double_pendulum_ideal_finite(new_psi, 1))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
+        return double_pendulum_ideal_reason(DOUBLE_PENDULUM_IDEAL_OVERFLOW, in);
     }
     double_pendulum_ideal_copy(new_psi, psi, 1);
     return DOUBLE_PENDULUM_IDEAL_OK;
@@ -1677,7 +1677,7 @@ int double_pendulum_ideal_T(const double_pendulum_ideal_model *model, const doub
     }
     double_pendulum_ideal_eval_T(model, in, new_T);
     if (!(double_pendulum_ideal_finite(new_T, 4))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
+        return double_pendulum_ideal_reason(DOUBLE_PENDULUM_IDEAL_OVERFLOW, in);
     }
     double_pendulum_ideal_copy(new_T, T, 4);
     return DOUBLE_PENDULUM_IDEAL_OK;
@@ -1688,7 +1688,7 @@ int double_pendulum_ideal_F(const double_pendulum_ideal_model *model, const doub
     double new_F[2];
     double_pendulum_ideal_eval_F(model, in, new_F);
     if (!(double_pendulum_ideal_finite(new_F, 2))) {
-        return double_pendulum_ideal_reason(in, DOUBLE_PENDULUM_IDEAL_OVERFLOW);
+        return double_pendulum_ideal_reason(DOUBLE_PENDULUM_IDEAL_OVERFLOW, in);
     }
     double_pendulum_ideal_copy(new_F, F, 2);
     return DOUBLE_PENDULUM_IDEAL_OK;
@@ -1706,6 +1706,11 @@ const double_pendulum_ideal_params double_pendulum_ideal_params_default = {
 int double_pendulum_ideal_pinv(const double *G, double *G_pinv, double_pendulum_ideal_info *info)
 {
     return double_pendulum_ideal_pinv_core(G, G_pinv, info);
+}
+
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_failed(int status, const double_pendulum_ideal_input *in, double_pendulum_ideal_info *info)
+{
+    return double_pendulum_ideal_refuse(double_pendulum_ideal_reason(status, in), info);
 }
 
 /* G and its pseudo-inverse, row by row: computed at generation in exact rationals. */
@@ -1815,7 +1820,7 @@ int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, cons
     }
     status = double_pendulum_ideal_solve_known(double_pendulum_ideal_known_matrix, double_pendulum_ideal_known_pinv, &double_pendulum_ideal_known_info, R, NULL, tau, info);
     if (status < 0) {
-        return double_pendulum_ideal_refuse(double_pendulum_ideal_reason(in, status), info);
+        return double_pendulum_ideal_failed(status, in, info);
     }
     if (reaction > status) { /* the constraints themselves could not all be met */
         status = reaction;

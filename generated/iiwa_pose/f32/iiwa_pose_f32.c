@@ -1551,7 +1551,7 @@ static int iiwa_pose_f32_input_finite(const iiwa_pose_f32_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static IIWA_POSE_F32_COLD int iiwa_pose_f32_reason(const iiwa_pose_f32_input *in, int status)
+static IIWA_POSE_F32_COLD int iiwa_pose_f32_reason(int status, const iiwa_pose_f32_input *in)
 {
     if (!iiwa_pose_f32_input_finite(in)) {
         return IIWA_POSE_F32_NONFINITE;
@@ -6388,7 +6388,7 @@ int iiwa_pose_f32_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
     }
     iiwa_pose_f32_eval_psi(model, in, new_psi);
     if (!(iiwa_pose_f32_finite(new_psi, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_OVERFLOW, in);
     }
     iiwa_pose_f32_copy(new_psi, psi, 6);
     return IIWA_POSE_F32_OK;
@@ -6405,10 +6405,10 @@ int iiwa_pose_f32_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input 
     iiwa_pose_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
+        return iiwa_pose_f32_reason(status, in);
     }
     if (!(iiwa_pose_f32_finite(new_S, 42))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_OVERFLOW, in);
     }
     iiwa_pose_f32_copy(new_S, S, 42);
     return IIWA_POSE_F32_OK;
@@ -6422,10 +6422,10 @@ int iiwa_pose_f32_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input 
     iiwa_pose_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
+        return iiwa_pose_f32_reason(status, in);
     }
     if (!(iiwa_pose_f32_finite(new_z, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_OVERFLOW, in);
     }
     iiwa_pose_f32_copy(new_z, z, 6);
     return IIWA_POSE_F32_OK;
@@ -6440,10 +6440,10 @@ int iiwa_pose_f32_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
     iiwa_pose_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_reason(in, status);
+        return iiwa_pose_f32_reason(status, in);
     }
     if (!(iiwa_pose_f32_finite(new_S, 42) && iiwa_pose_f32_finite(new_z, 6))) {
-        return iiwa_pose_f32_reason(in, IIWA_POSE_F32_OVERFLOW);
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_OVERFLOW, in);
     }
     iiwa_pose_f32_copy(new_S, S, 42);
     iiwa_pose_f32_copy(new_z, z, 6);
@@ -6457,6 +6457,11 @@ int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
     return iiwa_pose_f32_pinv_core(S, S_pinv, info);
 }
 
+static IIWA_POSE_F32_COLD int iiwa_pose_f32_failed(int status, const iiwa_pose_f32_input *in, iiwa_pose_f32_info *info)
+{
+    return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(status, in), info);
+}
+
 int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau, iiwa_pose_f32_info *info)
 {
     float S[42], z[6];
@@ -6465,12 +6470,12 @@ int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_
     iiwa_pose_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(in, status), info);
+        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(in, status), info);
+        return iiwa_pose_f32_failed(status, in, info);
     }
     return status;
 }

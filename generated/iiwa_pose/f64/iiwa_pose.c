@@ -1585,7 +1585,7 @@ static int iiwa_pose_input_finite(const iiwa_pose_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static IIWA_POSE_COLD int iiwa_pose_reason(const iiwa_pose_input *in, int status)
+static IIWA_POSE_COLD int iiwa_pose_reason(int status, const iiwa_pose_input *in)
 {
     if (!iiwa_pose_input_finite(in)) {
         return IIWA_POSE_NONFINITE;
@@ -6422,7 +6422,7 @@ int iiwa_pose_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, doubl
     }
     iiwa_pose_eval_psi(model, in, new_psi);
     if (!(iiwa_pose_finite(new_psi, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
+        return iiwa_pose_reason(IIWA_POSE_OVERFLOW, in);
     }
     iiwa_pose_copy(new_psi, psi, 6);
     return IIWA_POSE_OK;
@@ -6439,10 +6439,10 @@ int iiwa_pose_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double 
     iiwa_pose_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_reason(in, status);
+        return iiwa_pose_reason(status, in);
     }
     if (!(iiwa_pose_finite(new_S, 42))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
+        return iiwa_pose_reason(IIWA_POSE_OVERFLOW, in);
     }
     iiwa_pose_copy(new_S, S, 42);
     return IIWA_POSE_OK;
@@ -6456,10 +6456,10 @@ int iiwa_pose_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double 
     iiwa_pose_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_reason(in, status);
+        return iiwa_pose_reason(status, in);
     }
     if (!(iiwa_pose_finite(new_z, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
+        return iiwa_pose_reason(IIWA_POSE_OVERFLOW, in);
     }
     iiwa_pose_copy(new_z, z, 6);
     return IIWA_POSE_OK;
@@ -6474,10 +6474,10 @@ int iiwa_pose_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, doubl
     iiwa_pose_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_reason(in, status);
+        return iiwa_pose_reason(status, in);
     }
     if (!(iiwa_pose_finite(new_S, 42) && iiwa_pose_finite(new_z, 6))) {
-        return iiwa_pose_reason(in, IIWA_POSE_OVERFLOW);
+        return iiwa_pose_reason(IIWA_POSE_OVERFLOW, in);
     }
     iiwa_pose_copy(new_S, S, 42);
     iiwa_pose_copy(new_z, z, 6);
@@ -6491,6 +6491,11 @@ int iiwa_pose_pinv(const double *S, double *S_pinv, iiwa_pose_info *info)
     return iiwa_pose_pinv_core(S, S_pinv, info);
 }
 
+static IIWA_POSE_COLD int iiwa_pose_failed(int status, const iiwa_pose_input *in, iiwa_pose_info *info)
+{
+    return iiwa_pose_refuse(iiwa_pose_reason(status, in), info);
+}
+
 int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, double *tau, iiwa_pose_info *info)
 {
     double S[42], z[6];
@@ -6499,12 +6504,12 @@ int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, d
     iiwa_pose_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_refuse(iiwa_pose_reason(in, status), info);
+        return iiwa_pose_refuse(iiwa_pose_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return iiwa_pose_refuse(iiwa_pose_reason(in, status), info);
+        return iiwa_pose_failed(status, in, info);
     }
     return status;
 }

@@ -1397,7 +1397,7 @@ static int iiwa_position_f32_input_finite(const iiwa_position_f32_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static IIWA_POSITION_F32_COLD int iiwa_position_f32_reason(const iiwa_position_f32_input *in, int status)
+static IIWA_POSITION_F32_COLD int iiwa_position_f32_reason(int status, const iiwa_position_f32_input *in)
 {
     if (!iiwa_position_f32_input_finite(in)) {
         return IIWA_POSITION_F32_NONFINITE;
@@ -4387,7 +4387,7 @@ int iiwa_position_f32_psi(const iiwa_position_f32_model *model, const iiwa_posit
     }
     iiwa_position_f32_eval_psi(model, in, new_psi);
     if (!(iiwa_position_f32_finite(new_psi, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_OVERFLOW, in);
     }
     iiwa_position_f32_copy(new_psi, psi, 3);
     return IIWA_POSITION_F32_OK;
@@ -4404,10 +4404,10 @@ int iiwa_position_f32_S(const iiwa_position_f32_model *model, const iiwa_positio
     iiwa_position_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
+        return iiwa_position_f32_reason(status, in);
     }
     if (!(iiwa_position_f32_finite(new_S, 21))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_OVERFLOW, in);
     }
     iiwa_position_f32_copy(new_S, S, 21);
     return IIWA_POSITION_F32_OK;
@@ -4424,10 +4424,10 @@ int iiwa_position_f32_z(const iiwa_position_f32_model *model, const iiwa_positio
     iiwa_position_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
+        return iiwa_position_f32_reason(status, in);
     }
     if (!(iiwa_position_f32_finite(new_z, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_OVERFLOW, in);
     }
     iiwa_position_f32_copy(new_z, z, 3);
     return IIWA_POSITION_F32_OK;
@@ -4445,10 +4445,10 @@ int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_posit
     iiwa_position_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_f32_reason(in, status);
+        return iiwa_position_f32_reason(status, in);
     }
     if (!(iiwa_position_f32_finite(new_S, 21) && iiwa_position_f32_finite(new_z, 3))) {
-        return iiwa_position_f32_reason(in, IIWA_POSITION_F32_OVERFLOW);
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_OVERFLOW, in);
     }
     iiwa_position_f32_copy(new_S, S, 21);
     iiwa_position_f32_copy(new_z, z, 3);
@@ -4462,6 +4462,11 @@ int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info
     return iiwa_position_f32_pinv_core(S, S_pinv, info);
 }
 
+static IIWA_POSITION_F32_COLD int iiwa_position_f32_failed(int status, const iiwa_position_f32_input *in, iiwa_position_f32_info *info)
+{
+    return iiwa_position_f32_refuse(iiwa_position_f32_reason(status, in), info);
+}
+
 int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *tau, iiwa_position_f32_info *info)
 {
     float S[21], z[3];
@@ -4473,12 +4478,12 @@ int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_p
     iiwa_position_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_f32_refuse(iiwa_position_f32_reason(in, status), info);
+        return iiwa_position_f32_refuse(iiwa_position_f32_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return iiwa_position_f32_refuse(iiwa_position_f32_reason(in, status), info);
+        return iiwa_position_f32_failed(status, in, info);
     }
     return status;
 }

@@ -1431,7 +1431,7 @@ static int iiwa_position_input_finite(const iiwa_position_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static IIWA_POSITION_COLD int iiwa_position_reason(const iiwa_position_input *in, int status)
+static IIWA_POSITION_COLD int iiwa_position_reason(int status, const iiwa_position_input *in)
 {
     if (!iiwa_position_input_finite(in)) {
         return IIWA_POSITION_NONFINITE;
@@ -4421,7 +4421,7 @@ int iiwa_position_psi(const iiwa_position_model *model, const iiwa_position_inpu
     }
     iiwa_position_eval_psi(model, in, new_psi);
     if (!(iiwa_position_finite(new_psi, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
+        return iiwa_position_reason(IIWA_POSITION_OVERFLOW, in);
     }
     iiwa_position_copy(new_psi, psi, 3);
     return IIWA_POSITION_OK;
@@ -4438,10 +4438,10 @@ int iiwa_position_S(const iiwa_position_model *model, const iiwa_position_input 
     iiwa_position_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_reason(in, status);
+        return iiwa_position_reason(status, in);
     }
     if (!(iiwa_position_finite(new_S, 21))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
+        return iiwa_position_reason(IIWA_POSITION_OVERFLOW, in);
     }
     iiwa_position_copy(new_S, S, 21);
     return IIWA_POSITION_OK;
@@ -4458,10 +4458,10 @@ int iiwa_position_z(const iiwa_position_model *model, const iiwa_position_input 
     iiwa_position_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_reason(in, status);
+        return iiwa_position_reason(status, in);
     }
     if (!(iiwa_position_finite(new_z, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
+        return iiwa_position_reason(IIWA_POSITION_OVERFLOW, in);
     }
     iiwa_position_copy(new_z, z, 3);
     return IIWA_POSITION_OK;
@@ -4479,10 +4479,10 @@ int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_inpu
     iiwa_position_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_reason(in, status);
+        return iiwa_position_reason(status, in);
     }
     if (!(iiwa_position_finite(new_S, 21) && iiwa_position_finite(new_z, 3))) {
-        return iiwa_position_reason(in, IIWA_POSITION_OVERFLOW);
+        return iiwa_position_reason(IIWA_POSITION_OVERFLOW, in);
     }
     iiwa_position_copy(new_S, S, 21);
     iiwa_position_copy(new_z, z, 3);
@@ -4496,6 +4496,11 @@ int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info
     return iiwa_position_pinv_core(S, S_pinv, info);
 }
 
+static IIWA_POSITION_COLD int iiwa_position_failed(int status, const iiwa_position_input *in, iiwa_position_info *info)
+{
+    return iiwa_position_refuse(iiwa_position_reason(status, in), info);
+}
+
 int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau, iiwa_position_info *info)
 {
     double S[21], z[3];
@@ -4507,12 +4512,12 @@ int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_
     iiwa_position_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_refuse(iiwa_position_reason(in, status), info);
+        return iiwa_position_refuse(iiwa_position_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return iiwa_position_refuse(iiwa_position_reason(in, status), info);
+        return iiwa_position_failed(status, in, info);
     }
     return status;
 }

@@ -1295,7 +1295,7 @@ static int planar_arm_3r_input_finite(const planar_arm_3r_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_COLD int planar_arm_3r_reason(const planar_arm_3r_input *in, int status)
+static PLANAR_ARM_3R_COLD int planar_arm_3r_reason(int status, const planar_arm_3r_input *in)
 {
     if (!planar_arm_3r_input_finite(in)) {
         return PLANAR_ARM_3R_NONFINITE;
@@ -2114,7 +2114,7 @@ int planar_arm_3r_psi(const planar_arm_3r_model *model, const planar_arm_3r_inpu
     }
     planar_arm_3r_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_finite(new_psi, 2))) {
-        return planar_arm_3r_reason(in, PLANAR_ARM_3R_OVERFLOW);
+        return planar_arm_3r_reason(PLANAR_ARM_3R_OVERFLOW, in);
     }
     planar_arm_3r_copy(new_psi, psi, 2);
     return PLANAR_ARM_3R_OK;
@@ -2131,10 +2131,10 @@ int planar_arm_3r_S(const planar_arm_3r_model *model, const planar_arm_3r_input 
     planar_arm_3r_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_reason(in, status);
+        return planar_arm_3r_reason(status, in);
     }
     if (!(planar_arm_3r_finite(new_S, 6))) {
-        return planar_arm_3r_reason(in, PLANAR_ARM_3R_OVERFLOW);
+        return planar_arm_3r_reason(PLANAR_ARM_3R_OVERFLOW, in);
     }
     planar_arm_3r_copy(new_S, S, 6);
     return PLANAR_ARM_3R_OK;
@@ -2148,10 +2148,10 @@ int planar_arm_3r_z(const planar_arm_3r_model *model, const planar_arm_3r_input 
     planar_arm_3r_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_reason(in, status);
+        return planar_arm_3r_reason(status, in);
     }
     if (!(planar_arm_3r_finite(new_z, 2))) {
-        return planar_arm_3r_reason(in, PLANAR_ARM_3R_OVERFLOW);
+        return planar_arm_3r_reason(PLANAR_ARM_3R_OVERFLOW, in);
     }
     planar_arm_3r_copy(new_z, z, 2);
     return PLANAR_ARM_3R_OK;
@@ -2166,10 +2166,10 @@ int planar_arm_3r_S_z(const planar_arm_3r_model *model, const planar_arm_3r_inpu
     planar_arm_3r_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_reason(in, status);
+        return planar_arm_3r_reason(status, in);
     }
     if (!(planar_arm_3r_finite(new_S, 6) && planar_arm_3r_finite(new_z, 2))) {
-        return planar_arm_3r_reason(in, PLANAR_ARM_3R_OVERFLOW);
+        return planar_arm_3r_reason(PLANAR_ARM_3R_OVERFLOW, in);
     }
     planar_arm_3r_copy(new_S, S, 6);
     planar_arm_3r_copy(new_z, z, 2);
@@ -2187,6 +2187,11 @@ int planar_arm_3r_pinv(const double *S, double *S_pinv, planar_arm_3r_info *info
     return planar_arm_3r_pinv_core(S, S_pinv, info);
 }
 
+static PLANAR_ARM_3R_COLD int planar_arm_3r_failed(int status, const planar_arm_3r_input *in, planar_arm_3r_info *info)
+{
+    return planar_arm_3r_refuse(planar_arm_3r_reason(status, in), info);
+}
+
 int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *tau, planar_arm_3r_info *info)
 {
     double S[6], z[2];
@@ -2195,12 +2200,12 @@ int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_
     planar_arm_3r_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_refuse(planar_arm_3r_reason(in, status), info);
+        return planar_arm_3r_refuse(planar_arm_3r_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return planar_arm_3r_refuse(planar_arm_3r_reason(in, status), info);
+        return planar_arm_3r_failed(status, in, info);
     }
     return status;
 }

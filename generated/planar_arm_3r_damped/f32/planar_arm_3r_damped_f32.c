@@ -1261,7 +1261,7 @@ static int planar_arm_3r_damped_f32_input_finite(const planar_arm_3r_damped_f32_
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_DAMPED_F32_COLD int planar_arm_3r_damped_f32_reason(const planar_arm_3r_damped_f32_input *in, int status)
+static PLANAR_ARM_3R_DAMPED_F32_COLD int planar_arm_3r_damped_f32_reason(int status, const planar_arm_3r_damped_f32_input *in)
 {
     if (!planar_arm_3r_damped_f32_input_finite(in)) {
         return PLANAR_ARM_3R_DAMPED_F32_NONFINITE;
@@ -2359,7 +2359,7 @@ int planar_arm_3r_damped_f32_psi(const planar_arm_3r_damped_f32_model *model, co
     }
     planar_arm_3r_damped_f32_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_damped_f32_finite(new_psi, 2))) {
-        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
+        return planar_arm_3r_damped_f32_reason(PLANAR_ARM_3R_DAMPED_F32_OVERFLOW, in);
     }
     planar_arm_3r_damped_f32_copy(new_psi, psi, 2);
     return PLANAR_ARM_3R_DAMPED_F32_OK;
@@ -2376,10 +2376,10 @@ int planar_arm_3r_damped_f32_S(const planar_arm_3r_damped_f32_model *model, cons
     planar_arm_3r_damped_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_reason(in, status);
+        return planar_arm_3r_damped_f32_reason(status, in);
     }
     if (!(planar_arm_3r_damped_f32_finite(new_S, 6))) {
-        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
+        return planar_arm_3r_damped_f32_reason(PLANAR_ARM_3R_DAMPED_F32_OVERFLOW, in);
     }
     planar_arm_3r_damped_f32_copy(new_S, S, 6);
     return PLANAR_ARM_3R_DAMPED_F32_OK;
@@ -2393,10 +2393,10 @@ int planar_arm_3r_damped_f32_z(const planar_arm_3r_damped_f32_model *model, cons
     planar_arm_3r_damped_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_reason(in, status);
+        return planar_arm_3r_damped_f32_reason(status, in);
     }
     if (!(planar_arm_3r_damped_f32_finite(new_z, 2))) {
-        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
+        return planar_arm_3r_damped_f32_reason(PLANAR_ARM_3R_DAMPED_F32_OVERFLOW, in);
     }
     planar_arm_3r_damped_f32_copy(new_z, z, 2);
     return PLANAR_ARM_3R_DAMPED_F32_OK;
@@ -2411,10 +2411,10 @@ int planar_arm_3r_damped_f32_S_z(const planar_arm_3r_damped_f32_model *model, co
     planar_arm_3r_damped_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_reason(in, status);
+        return planar_arm_3r_damped_f32_reason(status, in);
     }
     if (!(planar_arm_3r_damped_f32_finite(new_S, 6) && planar_arm_3r_damped_f32_finite(new_z, 2))) {
-        return planar_arm_3r_damped_f32_reason(in, PLANAR_ARM_3R_DAMPED_F32_OVERFLOW);
+        return planar_arm_3r_damped_f32_reason(PLANAR_ARM_3R_DAMPED_F32_OVERFLOW, in);
     }
     planar_arm_3r_damped_f32_copy(new_S, S, 6);
     planar_arm_3r_damped_f32_copy(new_z, z, 2);
@@ -2432,6 +2432,11 @@ int planar_arm_3r_damped_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_d
     return planar_arm_3r_damped_f32_pinv_core(S, S_pinv, info);
 }
 
+static PLANAR_ARM_3R_DAMPED_F32_COLD int planar_arm_3r_damped_f32_failed(int status, const planar_arm_3r_damped_f32_input *in, planar_arm_3r_damped_f32_info *info)
+{
+    return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(status, in), info);
+}
+
 int planar_arm_3r_damped_f32_control(const planar_arm_3r_damped_f32_model *model, const planar_arm_3r_damped_f32_input *in, float *tau, planar_arm_3r_damped_f32_info *info)
 {
     float S[6], z[2], y[3];
@@ -2440,12 +2445,12 @@ int planar_arm_3r_damped_f32_control(const planar_arm_3r_damped_f32_model *model
     planar_arm_3r_damped_f32_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(in, status), info);
+        return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_damped_f32_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return planar_arm_3r_damped_f32_refuse(planar_arm_3r_damped_f32_reason(in, status), info);
+        return planar_arm_3r_damped_f32_failed(status, in, info);
     }
     return status;
 }

@@ -1295,7 +1295,7 @@ static int planar_arm_3r_damped_input_finite(const planar_arm_3r_damped_input *i
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_reason(const planar_arm_3r_damped_input *in, int status)
+static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_reason(int status, const planar_arm_3r_damped_input *in)
 {
     if (!planar_arm_3r_damped_input_finite(in)) {
         return PLANAR_ARM_3R_DAMPED_NONFINITE;
@@ -2393,7 +2393,7 @@ int planar_arm_3r_damped_psi(const planar_arm_3r_damped_model *model, const plan
     }
     planar_arm_3r_damped_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_damped_finite(new_psi, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_OVERFLOW, in);
     }
     planar_arm_3r_damped_copy(new_psi, psi, 2);
     return PLANAR_ARM_3R_DAMPED_OK;
@@ -2410,10 +2410,10 @@ int planar_arm_3r_damped_S(const planar_arm_3r_damped_model *model, const planar
     planar_arm_3r_damped_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
+        return planar_arm_3r_damped_reason(status, in);
     }
     if (!(planar_arm_3r_damped_finite(new_S, 6))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_OVERFLOW, in);
     }
     planar_arm_3r_damped_copy(new_S, S, 6);
     return PLANAR_ARM_3R_DAMPED_OK;
@@ -2427,10 +2427,10 @@ int planar_arm_3r_damped_z(const planar_arm_3r_damped_model *model, const planar
     planar_arm_3r_damped_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
+        return planar_arm_3r_damped_reason(status, in);
     }
     if (!(planar_arm_3r_damped_finite(new_z, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_OVERFLOW, in);
     }
     planar_arm_3r_damped_copy(new_z, z, 2);
     return PLANAR_ARM_3R_DAMPED_OK;
@@ -2445,10 +2445,10 @@ int planar_arm_3r_damped_S_z(const planar_arm_3r_damped_model *model, const plan
     planar_arm_3r_damped_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_reason(in, status);
+        return planar_arm_3r_damped_reason(status, in);
     }
     if (!(planar_arm_3r_damped_finite(new_S, 6) && planar_arm_3r_damped_finite(new_z, 2))) {
-        return planar_arm_3r_damped_reason(in, PLANAR_ARM_3R_DAMPED_OVERFLOW);
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_OVERFLOW, in);
     }
     planar_arm_3r_damped_copy(new_S, S, 6);
     planar_arm_3r_damped_copy(new_z, z, 2);
@@ -2466,6 +2466,11 @@ int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_dam
     return planar_arm_3r_damped_pinv_core(S, S_pinv, info);
 }
 
+static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_failed(int status, const planar_arm_3r_damped_input *in, planar_arm_3r_damped_info *info)
+{
+    return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(status, in), info);
+}
+
 int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *tau, planar_arm_3r_damped_info *info)
 {
     double S[6], z[2], y[3];
@@ -2474,12 +2479,12 @@ int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const 
     planar_arm_3r_damped_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(in, status), info);
+        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_damped_solve_core(S, z, y, tau, info);
     if (status < 0) {
-        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(in, status), info);
+        return planar_arm_3r_damped_failed(status, in, info);
     }
     return status;
 }

@@ -1261,7 +1261,7 @@ static int planar_arm_3r_weighted_f32_input_finite(const planar_arm_3r_weighted_
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(const planar_arm_3r_weighted_f32_input *in, int status)
+static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(int status, const planar_arm_3r_weighted_f32_input *in)
 {
     if (!planar_arm_3r_weighted_f32_input_finite(in)) {
         return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
@@ -2556,7 +2556,7 @@ int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model
     }
     planar_arm_3r_weighted_f32_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_weighted_f32_finite(new_psi, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, in);
     }
     planar_arm_3r_weighted_f32_copy(new_psi, psi, 2);
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
@@ -2573,10 +2573,10 @@ int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model, 
     planar_arm_3r_weighted_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
+        return planar_arm_3r_weighted_f32_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_f32_finite(new_S, 6))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, in);
     }
     planar_arm_3r_weighted_f32_copy(new_S, S, 6);
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
@@ -2590,10 +2590,10 @@ int planar_arm_3r_weighted_f32_z(const planar_arm_3r_weighted_f32_model *model, 
     planar_arm_3r_weighted_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
+        return planar_arm_3r_weighted_f32_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_f32_finite(new_z, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, in);
     }
     planar_arm_3r_weighted_f32_copy(new_z, z, 2);
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
@@ -2608,10 +2608,10 @@ int planar_arm_3r_weighted_f32_S_z(const planar_arm_3r_weighted_f32_model *model
     planar_arm_3r_weighted_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_reason(in, status);
+        return planar_arm_3r_weighted_f32_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_f32_finite(new_S, 6) && planar_arm_3r_weighted_f32_finite(new_z, 2))) {
-        return planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW);
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, in);
     }
     planar_arm_3r_weighted_f32_copy(new_S, S, 6);
     planar_arm_3r_weighted_f32_copy(new_z, z, 2);
@@ -2629,6 +2629,11 @@ int planar_arm_3r_weighted_f32_pinv(const float *S, float *S_pinv, planar_arm_3r
     return planar_arm_3r_weighted_f32_pinv_core(S, S_pinv, info);
 }
 
+static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_failed(int status, const planar_arm_3r_weighted_f32_input *in, planar_arm_3r_weighted_f32_info *info)
+{
+    return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(status, in), info);
+}
+
 int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *tau, planar_arm_3r_weighted_f32_info *info)
 {
     float sigma[3], unweighted[3];
@@ -2638,19 +2643,19 @@ int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *m
     planar_arm_3r_weighted_f32_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, status), info);
+        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_f32_solve_core(S_w, z, NULL, sigma, info);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, status), info);
+        return planar_arm_3r_weighted_f32_failed(status, in, info);
     }
     /* tau = L^-T sigma */
     unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2];
     unweighted[1] = recover[3] * sigma[1] + recover[4] * sigma[2];
     unweighted[2] = recover[5] * sigma[2];
     if (!planar_arm_3r_weighted_f32_finite(unweighted, 3)) {
-        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(in, PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW), info);
+        return planar_arm_3r_weighted_f32_failed(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, in, info);
     }
     planar_arm_3r_weighted_f32_copy(unweighted, tau, 3);
     return status;

@@ -1295,7 +1295,7 @@ static int planar_arm_3r_weighted_input_finite(const planar_arm_3r_weighted_inpu
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_WEIGHTED_COLD int planar_arm_3r_weighted_reason(const planar_arm_3r_weighted_input *in, int status)
+static PLANAR_ARM_3R_WEIGHTED_COLD int planar_arm_3r_weighted_reason(int status, const planar_arm_3r_weighted_input *in)
 {
     if (!planar_arm_3r_weighted_input_finite(in)) {
         return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
@@ -2590,7 +2590,7 @@ int planar_arm_3r_weighted_psi(const planar_arm_3r_weighted_model *model, const 
     }
     planar_arm_3r_weighted_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_weighted_finite(new_psi, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_OVERFLOW, in);
     }
     planar_arm_3r_weighted_copy(new_psi, psi, 2);
     return PLANAR_ARM_3R_WEIGHTED_OK;
@@ -2607,10 +2607,10 @@ int planar_arm_3r_weighted_S(const planar_arm_3r_weighted_model *model, const pl
     planar_arm_3r_weighted_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
+        return planar_arm_3r_weighted_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_finite(new_S, 6))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_OVERFLOW, in);
     }
     planar_arm_3r_weighted_copy(new_S, S, 6);
     return PLANAR_ARM_3R_WEIGHTED_OK;
@@ -2624,10 +2624,10 @@ int planar_arm_3r_weighted_z(const planar_arm_3r_weighted_model *model, const pl
     planar_arm_3r_weighted_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
+        return planar_arm_3r_weighted_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_finite(new_z, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_OVERFLOW, in);
     }
     planar_arm_3r_weighted_copy(new_z, z, 2);
     return PLANAR_ARM_3R_WEIGHTED_OK;
@@ -2642,10 +2642,10 @@ int planar_arm_3r_weighted_S_z(const planar_arm_3r_weighted_model *model, const 
     planar_arm_3r_weighted_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_reason(in, status);
+        return planar_arm_3r_weighted_reason(status, in);
     }
     if (!(planar_arm_3r_weighted_finite(new_S, 6) && planar_arm_3r_weighted_finite(new_z, 2))) {
-        return planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW);
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_OVERFLOW, in);
     }
     planar_arm_3r_weighted_copy(new_S, S, 6);
     planar_arm_3r_weighted_copy(new_z, z, 2);
@@ -2663,6 +2663,11 @@ int planar_arm_3r_weighted_pinv(const double *S, double *S_pinv, planar_arm_3r_w
     return planar_arm_3r_weighted_pinv_core(S, S_pinv, info);
 }
 
+static PLANAR_ARM_3R_WEIGHTED_COLD int planar_arm_3r_weighted_failed(int status, const planar_arm_3r_weighted_input *in, planar_arm_3r_weighted_info *info)
+{
+    return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(status, in), info);
+}
+
 int planar_arm_3r_weighted_control(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *tau, planar_arm_3r_weighted_info *info)
 {
     double sigma[3], unweighted[3];
@@ -2672,19 +2677,19 @@ int planar_arm_3r_weighted_control(const planar_arm_3r_weighted_model *model, co
     planar_arm_3r_weighted_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(in, status), info);
+        return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(status, in), info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_solve_core(S_w, z, NULL, sigma, info);
     if (status < 0) {
-        return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(in, status), info);
+        return planar_arm_3r_weighted_failed(status, in, info);
     }
     /* tau = L^-T sigma */
     unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2];
     unweighted[1] = recover[3] * sigma[1] + recover[4] * sigma[2];
     unweighted[2] = recover[5] * sigma[2];
     if (!planar_arm_3r_weighted_finite(unweighted, 3)) {
-        return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(in, PLANAR_ARM_3R_WEIGHTED_OVERFLOW), info);
+        return planar_arm_3r_weighted_failed(PLANAR_ARM_3R_WEIGHTED_OVERFLOW, in, info);
     }
     planar_arm_3r_weighted_copy(unweighted, tau, 3);
     return status;

@@ -1233,7 +1233,7 @@ static int quaternion_pointing_f32_input_finite(const quaternion_pointing_f32_in
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(const quaternion_pointing_f32_input *in, int status)
+static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(int status, const quaternion_pointing_f32_input *in)
 {
     if (!quaternion_pointing_f32_input_finite(in)) {
         return QUATERNION_POINTING_F32_NONFINITE;
@@ -1531,7 +1531,7 @@ int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, cons
     }
     quaternion_pointing_f32_eval_psi(model, in, new_psi);
     if (!(quaternion_pointing_f32_finite(new_psi, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_OVERFLOW, in);
     }
     quaternion_pointing_f32_copy(new_psi, psi, 3);
     return QUATERNION_POINTING_F32_OK;
@@ -1545,7 +1545,7 @@ int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const 
     }
     quaternion_pointing_f32_eval_S(model, in, new_S);
     if (!(quaternion_pointing_f32_finite(new_S, 9))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_OVERFLOW, in);
     }
     quaternion_pointing_f32_copy(new_S, S, 9);
     return QUATERNION_POINTING_F32_OK;
@@ -1556,7 +1556,7 @@ int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const 
     float new_z[3];
     quaternion_pointing_f32_eval_z(model, in, new_z);
     if (!(quaternion_pointing_f32_finite(new_z, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_OVERFLOW, in);
     }
     quaternion_pointing_f32_copy(new_z, z, 3);
     return QUATERNION_POINTING_F32_OK;
@@ -1568,7 +1568,7 @@ int quaternion_pointing_f32_S_z(const quaternion_pointing_f32_model *model, cons
     float new_z[3];
     quaternion_pointing_f32_eval_S_z(model, in, new_S, new_z);
     if (!(quaternion_pointing_f32_finite(new_S, 9) && quaternion_pointing_f32_finite(new_z, 3))) {
-        return quaternion_pointing_f32_reason(in, QUATERNION_POINTING_F32_OVERFLOW);
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_OVERFLOW, in);
     }
     quaternion_pointing_f32_copy(new_S, S, 9);
     quaternion_pointing_f32_copy(new_z, z, 3);
@@ -1586,6 +1586,11 @@ int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_point
     return quaternion_pointing_f32_pinv_core(S, S_pinv, info);
 }
 
+static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_failed(int status, const quaternion_pointing_f32_input *in, quaternion_pointing_f32_info *info)
+{
+    return quaternion_pointing_f32_refuse(quaternion_pointing_f32_reason(status, in), info);
+}
+
 int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *tau, quaternion_pointing_f32_info *info)
 {
     float S[9], z[3];
@@ -1594,7 +1599,7 @@ int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, 
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = quaternion_pointing_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return quaternion_pointing_f32_refuse(quaternion_pointing_f32_reason(in, status), info);
+        return quaternion_pointing_f32_failed(status, in, info);
     }
     return status;
 }

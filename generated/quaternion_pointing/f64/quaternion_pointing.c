@@ -1233,7 +1233,7 @@ static int quaternion_pointing_input_finite(const quaternion_pointing_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static QUATERNION_POINTING_COLD int quaternion_pointing_reason(const quaternion_pointing_input *in, int status)
+static QUATERNION_POINTING_COLD int quaternion_pointing_reason(int status, const quaternion_pointing_input *in)
 {
     if (!quaternion_pointing_input_finite(in)) {
         return QUATERNION_POINTING_NONFINITE;
@@ -1531,7 +1531,7 @@ int quaternion_pointing_psi(const quaternion_pointing_model *model, const quater
     }
     quaternion_pointing_eval_psi(model, in, new_psi);
     if (!(quaternion_pointing_finite(new_psi, 3))) {
-        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
+        return quaternion_pointing_reason(QUATERNION_POINTING_OVERFLOW, in);
     }
     quaternion_pointing_copy(new_psi, psi, 3);
     return QUATERNION_POINTING_OK;
@@ -1545,7 +1545,7 @@ int quaternion_pointing_S(const quaternion_pointing_model *model, const quaterni
     }
     quaternion_pointing_eval_S(model, in, new_S);
     if (!(quaternion_pointing_finite(new_S, 9))) {
-        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
+        return quaternion_pointing_reason(QUATERNION_POINTING_OVERFLOW, in);
     }
     quaternion_pointing_copy(new_S, S, 9);
     return QUATERNION_POINTING_OK;
@@ -1556,7 +1556,7 @@ int quaternion_pointing_z(const quaternion_pointing_model *model, const quaterni
     double new_z[3];
     quaternion_pointing_eval_z(model, in, new_z);
     if (!(quaternion_pointing_finite(new_z, 3))) {
-        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
+        return quaternion_pointing_reason(QUATERNION_POINTING_OVERFLOW, in);
     }
     quaternion_pointing_copy(new_z, z, 3);
     return QUATERNION_POINTING_OK;
@@ -1568,7 +1568,7 @@ int quaternion_pointing_S_z(const quaternion_pointing_model *model, const quater
     double new_z[3];
     quaternion_pointing_eval_S_z(model, in, new_S, new_z);
     if (!(quaternion_pointing_finite(new_S, 9) && quaternion_pointing_finite(new_z, 3))) {
-        return quaternion_pointing_reason(in, QUATERNION_POINTING_OVERFLOW);
+        return quaternion_pointing_reason(QUATERNION_POINTING_OVERFLOW, in);
     }
     quaternion_pointing_copy(new_S, S, 9);
     quaternion_pointing_copy(new_z, z, 3);
@@ -1586,6 +1586,11 @@ int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointin
     return quaternion_pointing_pinv_core(S, S_pinv, info);
 }
 
+static QUATERNION_POINTING_COLD int quaternion_pointing_failed(int status, const quaternion_pointing_input *in, quaternion_pointing_info *info)
+{
+    return quaternion_pointing_refuse(quaternion_pointing_reason(status, in), info);
+}
+
 int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info)
 {
     double S[9], z[3];
@@ -1594,7 +1599,7 @@ int quaternion_pointing_control(const quaternion_pointing_model *model, const qu
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = quaternion_pointing_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return quaternion_pointing_refuse(quaternion_pointing_reason(in, status), info);
+        return quaternion_pointing_failed(status, in, info);
     }
     return status;
 }

@@ -1164,7 +1164,7 @@ static int skewed_thrusters_f32_input_finite(const skewed_thrusters_f32_input *i
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_reason(const skewed_thrusters_f32_input *in, int status)
+static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_reason(int status, const skewed_thrusters_f32_input *in)
 {
     if (!skewed_thrusters_f32_input_finite(in)) {
         return SKEWED_THRUSTERS_F32_NONFINITE;
@@ -1697,7 +1697,7 @@ int skewed_thrusters_f32_psi(const skewed_thrusters_f32_model *model, const skew
     }
     skewed_thrusters_f32_eval_psi(model, in, new_psi);
     if (!(skewed_thrusters_f32_finite(new_psi, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_OVERFLOW, in);
     }
     skewed_thrusters_f32_copy(new_psi, psi, 6);
     return SKEWED_THRUSTERS_F32_OK;
@@ -1711,7 +1711,7 @@ int skewed_thrusters_f32_S(const skewed_thrusters_f32_model *model, const skewed
     }
     skewed_thrusters_f32_eval_S(model, in, new_S);
     if (!(skewed_thrusters_f32_finite(new_S, 48))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_OVERFLOW, in);
     }
     skewed_thrusters_f32_copy(new_S, S, 48);
     return SKEWED_THRUSTERS_F32_OK;
@@ -1722,7 +1722,7 @@ int skewed_thrusters_f32_z(const skewed_thrusters_f32_model *model, const skewed
     float new_z[6];
     skewed_thrusters_f32_eval_z(model, in, new_z);
     if (!(skewed_thrusters_f32_finite(new_z, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_OVERFLOW, in);
     }
     skewed_thrusters_f32_copy(new_z, z, 6);
     return SKEWED_THRUSTERS_F32_OK;
@@ -1734,7 +1734,7 @@ int skewed_thrusters_f32_S_z(const skewed_thrusters_f32_model *model, const skew
     float new_z[6];
     skewed_thrusters_f32_eval_S_z(model, in, new_S, new_z);
     if (!(skewed_thrusters_f32_finite(new_S, 48) && skewed_thrusters_f32_finite(new_z, 6))) {
-        return skewed_thrusters_f32_reason(in, SKEWED_THRUSTERS_F32_OVERFLOW);
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_OVERFLOW, in);
     }
     skewed_thrusters_f32_copy(new_S, S, 48);
     skewed_thrusters_f32_copy(new_z, z, 6);
@@ -1749,6 +1749,11 @@ const skewed_thrusters_f32_params skewed_thrusters_f32_params_default = {
 int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f32_info *info)
 {
     return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
+}
+
+static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_failed(int status, const skewed_thrusters_f32_input *in, skewed_thrusters_f32_info *info)
+{
+    return skewed_thrusters_f32_refuse(skewed_thrusters_f32_reason(status, in), info);
 }
 
 /* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */
@@ -1805,7 +1810,7 @@ int skewed_thrusters_f32_control(const skewed_thrusters_f32_model *model, const 
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = skewed_thrusters_f32_solve_known(model->known_matrix, model->known_pinv, &model->known_info, z, y, tau, info);
     if (status < 0) {
-        return skewed_thrusters_f32_refuse(skewed_thrusters_f32_reason(in, status), info);
+        return skewed_thrusters_f32_failed(status, in, info);
     }
     return status;
 }

@@ -557,7 +557,7 @@ static int spacecraft_f32_input_finite(const spacecraft_f32_input *in)
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static SPACECRAFT_F32_COLD int spacecraft_f32_reason(const spacecraft_f32_input *in, int status)
+static SPACECRAFT_F32_COLD int spacecraft_f32_reason(int status, const spacecraft_f32_input *in)
 {
     if (!spacecraft_f32_input_finite(in)) {
         return SPACECRAFT_F32_NONFINITE;
@@ -709,7 +709,7 @@ static int spacecraft_f32_checked_phi_A(const spacecraft_f32_model *model, const
 {
     spacecraft_f32_eval_phi_A(model, in, phi, A);
     if (!(spacecraft_f32_finite(phi, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
+        return spacecraft_f32_reason(SPACECRAFT_F32_OVERFLOW, in);
     }
     return SPACECRAFT_F32_OK;
 }
@@ -771,7 +771,7 @@ int spacecraft_f32_phi(const spacecraft_f32_model *model, const spacecraft_f32_i
     float new_phi[1];
     spacecraft_f32_eval_phi(model, in, new_phi);
     if (!(spacecraft_f32_finite(new_phi, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
+        return spacecraft_f32_reason(SPACECRAFT_F32_OVERFLOW, in);
     }
     spacecraft_f32_copy(new_phi, phi, 1);
     return SPACECRAFT_F32_OK;
@@ -785,7 +785,7 @@ int spacecraft_f32_A(const spacecraft_f32_model *model, const spacecraft_f32_inp
     }
     spacecraft_f32_eval_A(model, in, new_A);
     if (!(spacecraft_f32_finite(new_A, 3))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
+        return spacecraft_f32_reason(SPACECRAFT_F32_OVERFLOW, in);
     }
     spacecraft_f32_copy(new_A, A, 3);
     return SPACECRAFT_F32_OK;
@@ -796,7 +796,7 @@ int spacecraft_f32_B(const spacecraft_f32_model *model, const spacecraft_f32_inp
     float new_B[1];
     spacecraft_f32_eval_B(model, in, new_B);
     if (!(spacecraft_f32_finite(new_B, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
+        return spacecraft_f32_reason(SPACECRAFT_F32_OVERFLOW, in);
     }
     spacecraft_f32_copy(new_B, B, 1);
     return SPACECRAFT_F32_OK;
@@ -808,7 +808,7 @@ int spacecraft_f32_A_B(const spacecraft_f32_model *model, const spacecraft_f32_i
     float new_B[1];
     spacecraft_f32_eval_A_B(model, in, new_A, new_B);
     if (!(spacecraft_f32_finite(new_B, 1))) {
-        return spacecraft_f32_reason(in, SPACECRAFT_F32_OVERFLOW);
+        return spacecraft_f32_reason(SPACECRAFT_F32_OVERFLOW, in);
     }
     spacecraft_f32_copy(new_A, A, 3);
     spacecraft_f32_copy(new_B, B, 1);
@@ -827,6 +827,11 @@ int spacecraft_f32_pinv(const float *A, float *A_pinv, spacecraft_f32_info *info
     return spacecraft_f32_pinv_core(A, A_pinv, info);
 }
 
+static SPACECRAFT_F32_COLD int spacecraft_f32_failed(int status, const spacecraft_f32_input *in, spacecraft_f32_info *info)
+{
+    return spacecraft_f32_refuse(spacecraft_f32_reason(status, in), info);
+}
+
 int spacecraft_f32_control(const spacecraft_f32_model *model, const spacecraft_f32_input *in, float *tau_dot, spacecraft_f32_info *info)
 {
     float A[3], B[1];
@@ -835,7 +840,7 @@ int spacecraft_f32_control(const spacecraft_f32_model *model, const spacecraft_f
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_f32_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {
-        return spacecraft_f32_refuse(spacecraft_f32_reason(in, status), info);
+        return spacecraft_f32_failed(status, in, info);
     }
     return status;
 }

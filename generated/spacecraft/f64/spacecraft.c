@@ -557,7 +557,7 @@ static int spacecraft_input_finite(const spacecraft_input *in)
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static SPACECRAFT_COLD int spacecraft_reason(const spacecraft_input *in, int status)
+static SPACECRAFT_COLD int spacecraft_reason(int status, const spacecraft_input *in)
 {
     if (!spacecraft_input_finite(in)) {
         return SPACECRAFT_NONFINITE;
@@ -709,7 +709,7 @@ static int spacecraft_checked_phi_A(const spacecraft_model *model, const spacecr
 {
     spacecraft_eval_phi_A(model, in, phi, A);
     if (!(spacecraft_finite(phi, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
+        return spacecraft_reason(SPACECRAFT_OVERFLOW, in);
     }
     return SPACECRAFT_OK;
 }
@@ -771,7 +771,7 @@ int spacecraft_phi(const spacecraft_model *model, const spacecraft_input *in, do
     double new_phi[1];
     spacecraft_eval_phi(model, in, new_phi);
     if (!(spacecraft_finite(new_phi, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
+        return spacecraft_reason(SPACECRAFT_OVERFLOW, in);
     }
     spacecraft_copy(new_phi, phi, 1);
     return SPACECRAFT_OK;
@@ -785,7 +785,7 @@ int spacecraft_A(const spacecraft_model *model, const spacecraft_input *in, doub
     }
     spacecraft_eval_A(model, in, new_A);
     if (!(spacecraft_finite(new_A, 3))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
+        return spacecraft_reason(SPACECRAFT_OVERFLOW, in);
     }
     spacecraft_copy(new_A, A, 3);
     return SPACECRAFT_OK;
@@ -796,7 +796,7 @@ int spacecraft_B(const spacecraft_model *model, const spacecraft_input *in, doub
     double new_B[1];
     spacecraft_eval_B(model, in, new_B);
     if (!(spacecraft_finite(new_B, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
+        return spacecraft_reason(SPACECRAFT_OVERFLOW, in);
     }
     spacecraft_copy(new_B, B, 1);
     return SPACECRAFT_OK;
@@ -808,7 +808,7 @@ int spacecraft_A_B(const spacecraft_model *model, const spacecraft_input *in, do
     double new_B[1];
     spacecraft_eval_A_B(model, in, new_A, new_B);
     if (!(spacecraft_finite(new_B, 1))) {
-        return spacecraft_reason(in, SPACECRAFT_OVERFLOW);
+        return spacecraft_reason(SPACECRAFT_OVERFLOW, in);
     }
     spacecraft_copy(new_A, A, 3);
     spacecraft_copy(new_B, B, 1);
@@ -827,6 +827,11 @@ int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info)
     return spacecraft_pinv_core(A, A_pinv, info);
 }
 
+static SPACECRAFT_COLD int spacecraft_failed(int status, const spacecraft_input *in, spacecraft_info *info)
+{
+    return spacecraft_refuse(spacecraft_reason(status, in), info);
+}
+
 int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in, double *tau_dot, spacecraft_info *info)
 {
     double A[3], B[1];
@@ -835,7 +840,7 @@ int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_solve_core(A, B, NULL, tau_dot, info);
     if (status < 0) {
-        return spacecraft_refuse(spacecraft_reason(in, status), info);
+        return spacecraft_failed(status, in, info);
     }
     return status;
 }

@@ -557,7 +557,7 @@ static int spacecraft_smooth_f32_input_finite(const spacecraft_smooth_f32_input 
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(const spacecraft_smooth_f32_input *in, int status)
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(int status, const spacecraft_smooth_f32_input *in)
 {
     if (!spacecraft_smooth_f32_input_finite(in)) {
         return SPACECRAFT_SMOOTH_F32_NONFINITE;
@@ -750,7 +750,7 @@ static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model
 {
     spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
     if (!(spacecraft_smooth_f32_finite(phi, 1))) {
-        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_OVERFLOW, in);
     }
     return SPACECRAFT_SMOOTH_F32_OK;
 }
@@ -812,7 +812,7 @@ int spacecraft_smooth_f32_phi(const spacecraft_smooth_f32_model *model, const sp
     float new_phi[1];
     spacecraft_smooth_f32_eval_phi(model, in, new_phi);
     if (!(spacecraft_smooth_f32_finite(new_phi, 1))) {
-        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_OVERFLOW, in);
     }
     spacecraft_smooth_f32_copy(new_phi, phi, 1);
     return SPACECRAFT_SMOOTH_F32_OK;
@@ -826,7 +826,7 @@ int spacecraft_smooth_f32_A(const spacecraft_smooth_f32_model *model, const spac
     }
     spacecraft_smooth_f32_eval_A(model, in, new_A);
     if (!(spacecraft_smooth_f32_finite(new_A, 3))) {
-        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_OVERFLOW, in);
     }
     spacecraft_smooth_f32_copy(new_A, A, 3);
     return SPACECRAFT_SMOOTH_F32_OK;
@@ -837,7 +837,7 @@ int spacecraft_smooth_f32_B(const spacecraft_smooth_f32_model *model, const spac
     float new_B[1];
     spacecraft_smooth_f32_eval_B(model, in, new_B);
     if (!(spacecraft_smooth_f32_finite(new_B, 1))) {
-        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_OVERFLOW, in);
     }
     spacecraft_smooth_f32_copy(new_B, B, 1);
     return SPACECRAFT_SMOOTH_F32_OK;
@@ -849,7 +849,7 @@ int spacecraft_smooth_f32_A_B(const spacecraft_smooth_f32_model *model, const sp
     float new_B[1];
     spacecraft_smooth_f32_eval_A_B(model, in, new_A, new_B);
     if (!(spacecraft_smooth_f32_finite(new_B, 1))) {
-        return spacecraft_smooth_f32_reason(in, SPACECRAFT_SMOOTH_F32_OVERFLOW);
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_OVERFLOW, in);
     }
     spacecraft_smooth_f32_copy(new_A, A, 3);
     spacecraft_smooth_f32_copy(new_B, B, 1);
@@ -868,6 +868,11 @@ int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_
     return spacecraft_smooth_f32_pinv_core(A, A_pinv, info);
 }
 
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_failed(int status, const spacecraft_smooth_f32_input *in, spacecraft_smooth_f32_info *info)
+{
+    return spacecraft_smooth_f32_refuse(spacecraft_smooth_f32_reason(status, in), info);
+}
+
 int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau_dot, spacecraft_smooth_f32_info *info)
 {
     float A[3], B[1], y[3];
@@ -876,7 +881,7 @@ int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, cons
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_smooth_f32_solve_core(A, B, y, tau_dot, info);
     if (status < 0) {
-        return spacecraft_smooth_f32_refuse(spacecraft_smooth_f32_reason(in, status), info);
+        return spacecraft_smooth_f32_failed(status, in, info);
     }
     return status;
 }

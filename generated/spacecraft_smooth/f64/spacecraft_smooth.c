@@ -557,7 +557,7 @@ static int spacecraft_smooth_input_finite(const spacecraft_smooth_input *in)
 }
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_reason(const spacecraft_smooth_input *in, int status)
+static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_reason(int status, const spacecraft_smooth_input *in)
 {
     if (!spacecraft_smooth_input_finite(in)) {
         return SPACECRAFT_SMOOTH_NONFINITE;
@@ -750,7 +750,7 @@ static int spacecraft_smooth_checked_phi_A(const spacecraft_smooth_model *model,
 {
     spacecraft_smooth_eval_phi_A(model, in, phi, A);
     if (!(spacecraft_smooth_finite(phi, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_OVERFLOW, in);
     }
     return SPACECRAFT_SMOOTH_OK;
 }
@@ -812,7 +812,7 @@ int spacecraft_smooth_phi(const spacecraft_smooth_model *model, const spacecraft
     double new_phi[1];
     spacecraft_smooth_eval_phi(model, in, new_phi);
     if (!(spacecraft_smooth_finite(new_phi, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_OVERFLOW, in);
     }
     spacecraft_smooth_copy(new_phi, phi, 1);
     return SPACECRAFT_SMOOTH_OK;
@@ -826,7 +826,7 @@ int spacecraft_smooth_A(const spacecraft_smooth_model *model, const spacecraft_s
     }
     spacecraft_smooth_eval_A(model, in, new_A);
     if (!(spacecraft_smooth_finite(new_A, 3))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_OVERFLOW, in);
     }
     spacecraft_smooth_copy(new_A, A, 3);
     return SPACECRAFT_SMOOTH_OK;
@@ -837,7 +837,7 @@ int spacecraft_smooth_B(const spacecraft_smooth_model *model, const spacecraft_s
     double new_B[1];
     spacecraft_smooth_eval_B(model, in, new_B);
     if (!(spacecraft_smooth_finite(new_B, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_OVERFLOW, in);
     }
     spacecraft_smooth_copy(new_B, B, 1);
     return SPACECRAFT_SMOOTH_OK;
@@ -849,7 +849,7 @@ int spacecraft_smooth_A_B(const spacecraft_smooth_model *model, const spacecraft
     double new_B[1];
     spacecraft_smooth_eval_A_B(model, in, new_A, new_B);
     if (!(spacecraft_smooth_finite(new_B, 1))) {
-        return spacecraft_smooth_reason(in, SPACECRAFT_SMOOTH_OVERFLOW);
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_OVERFLOW, in);
     }
     spacecraft_smooth_copy(new_A, A, 3);
     spacecraft_smooth_copy(new_B, B, 1);
@@ -868,6 +868,11 @@ int spacecraft_smooth_pinv(const double *A, double *A_pinv, spacecraft_smooth_in
     return spacecraft_smooth_pinv_core(A, A_pinv, info);
 }
 
+static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_failed(int status, const spacecraft_smooth_input *in, spacecraft_smooth_info *info)
+{
+    return spacecraft_smooth_refuse(spacecraft_smooth_reason(status, in), info);
+}
+
 int spacecraft_smooth_control(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *tau_dot, spacecraft_smooth_info *info)
 {
     double A[3], B[1], y[3];
@@ -876,7 +881,7 @@ int spacecraft_smooth_control(const spacecraft_smooth_model *model, const spacec
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = spacecraft_smooth_solve_core(A, B, y, tau_dot, info);
     if (status < 0) {
-        return spacecraft_smooth_refuse(spacecraft_smooth_reason(in, status), info);
+        return spacecraft_smooth_failed(status, in, info);
     }
     return status;
 }

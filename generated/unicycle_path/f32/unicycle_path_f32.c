@@ -1270,7 +1270,7 @@ static int unicycle_path_f32_input_finite(const unicycle_path_f32_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(const unicycle_path_f32_input *in, int status)
+static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(int status, const unicycle_path_f32_input *in)
 {
     if (!unicycle_path_f32_input_finite(in)) {
         return UNICYCLE_PATH_F32_NONFINITE;
@@ -1550,7 +1550,7 @@ int unicycle_path_f32_psi(const unicycle_path_f32_model *model, const unicycle_p
     }
     unicycle_path_f32_eval_psi(model, in, new_psi);
     if (!(unicycle_path_f32_finite(new_psi, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_OVERFLOW, in);
     }
     unicycle_path_f32_copy(new_psi, psi, 2);
     return UNICYCLE_PATH_F32_OK;
@@ -1564,7 +1564,7 @@ int unicycle_path_f32_S(const unicycle_path_f32_model *model, const unicycle_pat
     }
     unicycle_path_f32_eval_S(model, in, new_S);
     if (!(unicycle_path_f32_finite(new_S, 4))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_OVERFLOW, in);
     }
     unicycle_path_f32_copy(new_S, S, 4);
     return UNICYCLE_PATH_F32_OK;
@@ -1575,7 +1575,7 @@ int unicycle_path_f32_z(const unicycle_path_f32_model *model, const unicycle_pat
     float new_z[2];
     unicycle_path_f32_eval_z(model, in, new_z);
     if (!(unicycle_path_f32_finite(new_z, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_OVERFLOW, in);
     }
     unicycle_path_f32_copy(new_z, z, 2);
     return UNICYCLE_PATH_F32_OK;
@@ -1587,7 +1587,7 @@ int unicycle_path_f32_S_z(const unicycle_path_f32_model *model, const unicycle_p
     float new_z[2];
     unicycle_path_f32_eval_S_z(model, in, new_S, new_z);
     if (!(unicycle_path_f32_finite(new_S, 4) && unicycle_path_f32_finite(new_z, 2))) {
-        return unicycle_path_f32_reason(in, UNICYCLE_PATH_F32_OVERFLOW);
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_OVERFLOW, in);
     }
     unicycle_path_f32_copy(new_S, S, 4);
     unicycle_path_f32_copy(new_z, z, 2);
@@ -1607,6 +1607,11 @@ int unicycle_path_f32_pinv(const float *S, float *S_pinv, unicycle_path_f32_info
     return unicycle_path_f32_pinv_core(S, S_pinv, info);
 }
 
+static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_failed(int status, const unicycle_path_f32_input *in, unicycle_path_f32_info *info)
+{
+    return unicycle_path_f32_refuse(unicycle_path_f32_reason(status, in), info);
+}
+
 int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *tau, unicycle_path_f32_info *info)
 {
     float S[4], z[2];
@@ -1615,7 +1620,7 @@ int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicyc
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = unicycle_path_f32_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return unicycle_path_f32_refuse(unicycle_path_f32_reason(in, status), info);
+        return unicycle_path_f32_failed(status, in, info);
     }
     return status;
 }

@@ -1304,7 +1304,7 @@ static int unicycle_path_input_finite(const unicycle_path_input *in)
 #endif
 
 /* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static UNICYCLE_PATH_COLD int unicycle_path_reason(const unicycle_path_input *in, int status)
+static UNICYCLE_PATH_COLD int unicycle_path_reason(int status, const unicycle_path_input *in)
 {
     if (!unicycle_path_input_finite(in)) {
         return UNICYCLE_PATH_NONFINITE;
@@ -1584,7 +1584,7 @@ int unicycle_path_psi(const unicycle_path_model *model, const unicycle_path_inpu
     }
     unicycle_path_eval_psi(model, in, new_psi);
     if (!(unicycle_path_finite(new_psi, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
+        return unicycle_path_reason(UNICYCLE_PATH_OVERFLOW, in);
     }
     unicycle_path_copy(new_psi, psi, 2);
     return UNICYCLE_PATH_OK;
@@ -1598,7 +1598,7 @@ int unicycle_path_S(const unicycle_path_model *model, const unicycle_path_input 
     }
     unicycle_path_eval_S(model, in, new_S);
     if (!(unicycle_path_finite(new_S, 4))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
+        return unicycle_path_reason(UNICYCLE_PATH_OVERFLOW, in);
     }
     unicycle_path_copy(new_S, S, 4);
     return UNICYCLE_PATH_OK;
@@ -1609,7 +1609,7 @@ int unicycle_path_z(const unicycle_path_model *model, const unicycle_path_input 
     double new_z[2];
     unicycle_path_eval_z(model, in, new_z);
     if (!(unicycle_path_finite(new_z, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
+        return unicycle_path_reason(UNICYCLE_PATH_OVERFLOW, in);
     }
     unicycle_path_copy(new_z, z, 2);
     return UNICYCLE_PATH_OK;
@@ -1621,7 +1621,7 @@ int unicycle_path_S_z(const unicycle_path_model *model, const unicycle_path_inpu
     double new_z[2];
     unicycle_path_eval_S_z(model, in, new_S, new_z);
     if (!(unicycle_path_finite(new_S, 4) && unicycle_path_finite(new_z, 2))) {
-        return unicycle_path_reason(in, UNICYCLE_PATH_OVERFLOW);
+        return unicycle_path_reason(UNICYCLE_PATH_OVERFLOW, in);
     }
     unicycle_path_copy(new_S, S, 4);
     unicycle_path_copy(new_z, z, 2);
@@ -1641,6 +1641,11 @@ int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info
     return unicycle_path_pinv_core(S, S_pinv, info);
 }
 
+static UNICYCLE_PATH_COLD int unicycle_path_failed(int status, const unicycle_path_input *in, unicycle_path_info *info)
+{
+    return unicycle_path_refuse(unicycle_path_reason(status, in), info);
+}
+
 int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info)
 {
     double S[4], z[2];
@@ -1649,7 +1654,7 @@ int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = unicycle_path_solve_core(S, z, NULL, tau, info);
     if (status < 0) {
-        return unicycle_path_refuse(unicycle_path_reason(in, status), info);
+        return unicycle_path_failed(status, in, info);
     }
     return status;
 }
