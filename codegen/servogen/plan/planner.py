@@ -24,6 +24,7 @@ from servogen.plan.module import (
     Target,
 )
 from servogen.plan.noise import row_noise
+from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
 from servogen.scalars import EPSILON, Scalar
@@ -66,7 +67,7 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
         control=control,
         solver=solver,
         mass_tolerance=_mass_tolerance(scene, target.scalar),
-        skipped=_skipped(formulation, optimised, control, solver, inputs, staged),
+        skipped=what_is_skipped(formulation, optimised, control, solver, inputs, staged),
     )
 
 
@@ -228,56 +229,3 @@ def _computed_field(i: Input, prepare: Program) -> StructField:
 
 def _mass_tolerance(scene: Scene, scalar: Scalar) -> float:
     return float(scene.mechanism.Q.size1()) * EPSILON[scalar]
-
-
-def _skipped(
-    formulation: Formulation,
-    optimised: SceneProgram,
-    control: ControlPlan,
-    solver: SolverPlan,
-    inputs: Sequence[StructField],
-    staged: Staged,
-) -> dict[str, tuple[str, ...]]:
-    """What this scene does not need, by entry point, with the reason."""
-    scene = formulation.scene
-    system: list[str] = []
-    if scene.mechanism.C is None:
-        system.append("C: q' = u")
-    if scene.mechanism.D is None:
-        system.append("D: absent")
-    if scene.mechanism.t is None:
-        system.append("t: the model does not depend on time")
-    unused = [f.name for f in scene.input_fields() if f.name not in {i.name for i in inputs}]
-    system += [f"{name}: no output depends on it" for name in unused]
-    early = staged.prepare.operations()["total"]
-    if early:
-        system.append(f"{early} operations of parameters alone: done once, in prepare")
-    system += optimised.remarks
-    matrix, right = scene.system.matrix, scene.system.right
-    parts_of = (
-        {} if scene.kind == "ideal" else {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
-    )
-    by_entry = {name: (*_about_mass(formulation, optimised, parts), *system) for name, parts in parts_of.items()}
-    reasons = [*_about_mass(formulation, optimised, [r.name for r in control.kernel.results]), *system]
-    if control.known is not None:
-        where = "at generation" if control.known.when == "generation" else "in prepare"
-        reasons.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
-    elif solver.kind != "full":
-        reasons.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")
-    if formulation.weight is not None:
-        reasons.append(f"inverse of W: {formulation.weight.reason}")
-    if scene.y is None:
-        reasons.append("null-space projector: y is absent")
-    return by_entry | {"control": tuple(reasons)}
-
-
-def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> tuple[str, ...]:
-    """How an entry point that hands out `parts` gets by without the inverse of Q."""
-    needing = {q.name for q in formulation.quantities if q.needs_mass} & set(parts)
-    if not formulation.mass.pivots or not needing or not needing <= optimised.free_of_mass:
-        return (f"inverse of Q: {formulation.mass.reason}",)
-    return (
-        "factorisation of Q: the solve cancels, its answer is an expression without Q's pivots",
-        "test at each tick that Q is regular: nothing divides by its pivots, Q is positive definite at states of the "
-        "domain and parameters from half to twice their defaults",
-    )

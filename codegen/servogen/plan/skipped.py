@@ -1,0 +1,96 @@
+"""What a scene does not need, by entry point, with the reason: DESIGN section 4's four times, in their order."""
+
+from collections.abc import Sequence
+
+from servogen.derive.formulation import Formulation
+from servogen.ir.program import Program
+from servogen.plan.module import ControlPlan, StructField
+from servogen.plan.solver import SolverPlan
+from servogen.plan.stage import Staged, cut
+from servogen.scene_program import SceneProgram
+
+
+def what_is_skipped(
+    formulation: Formulation,
+    optimised: SceneProgram,
+    control: ControlPlan,
+    solver: SolverPlan,
+    inputs: Sequence[StructField],
+    staged: Staged,
+) -> dict[str, tuple[str, ...]]:
+    """Lines "what: why" for each entry point of the system and for control; inputs: those that are left."""
+    scene = formulation.scene
+    matrix, right = scene.system.matrix, scene.system.right
+    parts_of = (
+        {} if scene.kind == "ideal" else {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
+    )
+    parts_of["control"] = tuple(r.name for r in control.kernel.results)
+    planned = _planned(formulation, inputs, staged)
+    found = {
+        name: (*_derived(formulation, optimised, parts), *_optimised(optimised, parts), *planned)
+        for name, parts in parts_of.items()
+    }
+    found["control"] += (*_of_the_solver(formulation, control, solver),)
+    return found
+
+
+def _derived(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> list[str]:
+    """When the scene was derived: what the model has not, and the inverse of Q."""
+    mechanism = formulation.scene.mechanism
+    lines = list(_about_mass(formulation, optimised, parts))
+    if mechanism.C is None:
+        lines.append("C: q' = u")
+    if mechanism.D is None:
+        lines.append("D: absent")
+    if mechanism.t is None:
+        lines.append("t: the model does not depend on time")
+    return lines
+
+
+def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> tuple[str, ...]:
+    """How an entry point that hands out `parts` gets by without the inverse of Q."""
+    needing = {q.name for q in formulation.quantities if q.needs_mass} & set(parts)
+    if not formulation.mass.pivots or not needing or not needing <= optimised.free_of_mass:
+        return (f"inverse of Q: {formulation.mass.reason}",)
+    return (
+        "factorisation of Q: the solve cancels, its answer is an expression without Q's pivots",
+        "test at each tick that Q is regular: nothing divides by its pivots, Q is positive definite at states of the "
+        "domain and parameters from half to twice their defaults",
+    )
+
+
+def _optimised(optimised: SceneProgram, parts: tuple[str, ...]) -> list[str]:
+    """When the program was optimised: how many operations went; and the rewrites that were refused."""
+    before, left = (_operations(program, parts) for program in (optimised.exact, optimised.program))
+    lines = [f"{before - left} of {before} operations: fewer give the same values"] if left < before else []
+    return [*lines, *optimised.remarks]
+
+
+def _operations(program: Program, parts: tuple[str, ...]) -> int:
+    return cut(program, program.name, parts).operations()["total"]
+
+
+def _planned(formulation: Formulation, inputs: Sequence[StructField], staged: Staged) -> list[str]:
+    """When the module was planned: inputs that nothing reads, and what prepare does once."""
+    left = {i.name for i in inputs}
+    lines = [f"{f.name}: no output depends on it" for f in formulation.scene.input_fields() if f.name not in left]
+    early = staged.prepare.operations()["total"]
+    return [*lines, f"{early} operations of parameters alone: done once, in prepare"] if early else lines
+
+
+def _of_the_solver(formulation: Formulation, control: ControlPlan, solver: SolverPlan) -> list[str]:
+    """What the solver leaves out: when it was planned, and at each tick where a certificate allows it."""
+    matrix = formulation.scene.system.matrix
+    lines = []
+    if control.known is not None:
+        where = "at generation" if control.known.when == "generation" else "in prepare"
+        lines.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
+    elif solver.kind != "full":
+        lines.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")
+    elif solver.method == "auto":
+        lines.append("SVD, at each tick: not where a certificate proves that normal equations or QR give its answer")
+    if formulation.weight is not None:
+        lines.append(f"inverse of W: {formulation.weight.reason}")
+    if formulation.scene.y is None:
+        lines.append("null-space projector: y is absent")
+    return lines
