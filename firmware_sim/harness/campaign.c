@@ -152,7 +152,7 @@ static int run_entry(const campaign_table *table, const campaign_entry *entry)
             (void)entry->run(state, out, &info, &painter, &measured);
             stack = measured > stack ? measured : stack;
         }
-        for (uint32_t i = 0; i < entry->size; ++i) {
+        for (uint32_t i = 0; i < CAMPAIGN_LARGEST; ++i) {
             memcpy(&out[i], &pattern, sizeof pattern);
         }
         const int32_t status = entry->run(state, out, &info, &counter, &measured);

@@ -89,6 +89,27 @@ def test_a_row_is_met_where_it_takes_all_of_y_away(l, scalar):
                     assert (twin(1, l, scalar).solve(*given)[0] == expected).all()
 
 
+@pytest.mark.parametrize(
+    ("scalar", "s", "y", "z"),
+    [
+        ("float32", ("0x1.9a3cbp+8", "0x1.068508p+5"), ("-0x1.72c39p-54", "-0x1.da88p-58"), "0x0p+0"),
+        (
+            "float64",
+            ("0x1.5c778062b8efp+23", "0x1.ae476acf5c8eep+26"),
+            ("0x1.0ef39ca6e6444p-491", "0x1.4e90a0e641091p-488"),
+            "-0x1.1c67010e38cep-519",
+        ),
+    ],
+)
+def test_what_noise_decides_does_not_depend_on_the_unit(scalar, s, y, z):
+    """Squares of a tau made of noise underflowed, and a power of two in y and z changed the answer."""
+    S, y, z = (np.array([float.fromhex(x) for x in row], scalar) for row in (s, y, (z,)))
+    tau, _ = twin(1, 2, scalar).solve(S[None], z, y)
+    for k in (1, 5, 20, 40):
+        moved, _ = twin(1, 2, scalar).solve(S[None], np.ldexp(z, k), np.ldexp(y, k))
+        assert (moved == np.ldexp(tau, k)).all()
+
+
 @pytest.mark.parametrize("scalar", SCALARS)
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (6, 6), (3, 1), (3, 2), (7, 3)])
 @pytest.mark.parametrize("smallest", [1.0, 1e-3, 0.0])

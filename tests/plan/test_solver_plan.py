@@ -69,6 +69,11 @@ def test_row_range_leaves_atol_and_damping_to_the_scaled_form():
         assert row_range is not None
         assert 2.0 ** (row_range.square_floor / 2 - 1023) > bound
     assert plan_solver(1, l, "float32", Solver(damping=1e9)).row_range is None
+    for scalar in ("float64", "float32"):
+        plain = plan_solver(1, l, scalar, Solver()).row_range
+        assert plain is not None
+        assert plain.square_floor is None
+        assert plain.span & (plain.span + 1) == 0  # one comparison of several numbers' bits
 
 
 def test_row_operations_counted_by_hand():

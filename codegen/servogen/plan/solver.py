@@ -94,13 +94,16 @@ class RowRange:
     """Where the unscaled closed form of a row is safe, and gives the same bits as the scaled one.
 
     Outside (and at NaN, infinity, zero, atol and damping, which all fall outside) the scaled form takes over. A square
-    and a task in range lie 0 to span above their lowest, a power of two less one: so that one comparison does for both.
+    and a task in range lie 0 to span above their lowest, span a power of two less one: so one comparison does for both.
     """
 
     square_low: int  # of s s^T, twice the biased exponent: half as many binades
     square_floor: int | None  # the same, below which s may be zero or damped; None where square_low is above it
     task_low: int  # of z - s y, biased exponent
+    task_high: int
     span: int
+    tau_low: int  # of tau tau^T where noise may be all that tau is, biased exponent
+    tau_high: int
 
 
 @dataclass(frozen=True)
@@ -344,11 +347,12 @@ def _row_tolerances(m: int, atol: float | Sequence[float] | None, scalar: Scalar
 def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> RowRange | None:
     """Exponents chosen so that no product that matters underflows and no sum overflows.
 
-    Squares in 2^+-a and tasks in 2^+-2a: then |tau - y| <= 2^(5a/2) is below half an ulp of the largest number, and
-    products that underflow are below half an ulp of any sum they enter that matters: only a chain of ties, each 24 bits
-    above the last, can carry such a rounding up to a float32 task, by half an ulp of it.
+    Squares from 2^-a to below 2^a, tasks from 2^-2a and steps of refinement to below 2^2a: then |tau - y| <= 2^(5a/2)
+    is below half an ulp of the largest number, and products that underflow are below half an ulp of any sum they enter
+    that matters: only a chain of ties, each 24 bits above the last, can carry such a rounding up to a float32 task, by
+    half an ulp of it. Squares of tau in 2^+-c, times s s^T, neither overflow nor become subnormal.
     """
-    a = 256 if scalar == "float64" else 32
+    a, c = (256, 760) if scalar == "float64" else (32, 90)
     # above these the row is neither zero nor damped
     floor = max(_square_above(math.sqrt(l) * atol), _square_above(damping or 0.0))
     if floor >= a:
@@ -358,7 +362,10 @@ def _row_range(l: int, atol: float, damping: float | None, scalar: Scalar) -> Ro
         square_low=2 * (bias - a),
         square_floor=2 * (bias + floor) if floor > -a else None,
         task_low=bias - 2 * a,
+        task_high=bias + 2 * a - 1,
         span=4 * a - 1,
+        tau_low=bias - c,
+        tau_high=bias + c,
     )
 
 

@@ -281,6 +281,19 @@ static uint32_t double_pendulum_energy_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t double_pendulum_energy_f32_biased_square(float square)
+{
+    double_pendulum_energy_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_energy_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
+}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_energy_f32_refuse(int status, double_pendulum_energy_f32_info *info)
@@ -469,6 +482,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_scal
         rest -= row.s[0] * double_pendulum_energy_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_f32_shift(y[1], -unit);
     }
     refine = y != NULL && row.rank && double_pendulum_energy_f32_cancels(rest, target);
+    /* what is refined takes the reciprocal twice, as in the short form */
     scale = refine ? rest * (1.0f / row.square) : row.rank ? double_pendulum_energy_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_f32_shift(row.s[j] * scale, unit);
@@ -533,9 +547,9 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_pinv_scale
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint32_t double_pendulum_energy_f32_above(float square)
+/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint32_t double_pendulum_energy_f32_outside(float square)
 {
     double_pendulum_energy_f32_word word;
     word.value = square;
@@ -554,17 +568,17 @@ static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_short_info
     return DOUBLE_PENDULUM_ENERGY_F32_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
-static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_values(float s_0, float s_1, float target, const float *y, float *tau, double_pendulum_energy_f32_info *info)
+/* The scaled form, S and z by value: so that the short one need not store them first. */
+static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_solve_values(float s_0, float s_1, float target, float *tau, double_pendulum_energy_f32_info *info)
 {
     const float S[2] = {s_0, s_1};
-    return double_pendulum_energy_f32_solve_scaled(S, &target, y, tau, info);
+    return double_pendulum_energy_f32_solve_scaled(S, &target, NULL, tau, info);
 }
 
 /* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
 static DOUBLE_PENDULUM_ENERGY_F32_APART int double_pendulum_energy_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_f32_info *info, float square, float rest)
 {
-    if ((double_pendulum_energy_f32_above(square) | (double_pendulum_energy_f32_biased(rest) - 63)) <= 127) {
+    if ((double_pendulum_energy_f32_outside(square) | (double_pendulum_energy_f32_biased(rest) - 63)) <= 127) {
         const float s_0 = S[0];
         const float s_1 = S[1];
         const float target = z[0];
@@ -573,10 +587,14 @@ static DOUBLE_PENDULUM_ENERGY_F32_APART int double_pendulum_energy_f32_solve_ref
         float t_0 = y[0] + s_0 * scale;
         float t_1 = y[1] + s_1 * scale;
         const float more = (target - (s_0 * t_0 + s_1 * t_1)) * inverse;
+        float tau_square;
         t_0 += s_0 * more;
         t_1 += s_1 * more;
+        tau_square = t_0 * t_0 + t_1 * t_1;
+        /* a larger step could carry tau out of range */
         if (double_pendulum_energy_f32_biased(more) <= 190 &&
-            !(double_pendulum_energy_f32_drowned(rest, target) && double_pendulum_energy_f32_exhausted(square, t_0 * t_0 + t_1 * t_1, rest))) {
+            (!double_pendulum_energy_f32_drowned(rest, target) ||
+             (double_pendulum_energy_f32_within(double_pendulum_energy_f32_biased_square(tau_square), 37, 217) && !double_pendulum_energy_f32_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             if (info != NULL) {
@@ -594,13 +612,13 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL int double_pendulum_energy_f32_solve_cor
     const float s_1 = S[1];
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1;
-    /* one comparison for all: what is out of range sets high bits */
     if (y != NULL) {
         const float y_0 = y[0];
         const float y_1 = y[1];
         const float rest = target - (s_0 * y_0 + s_1 * y_1);
         const uint32_t size = double_pendulum_energy_f32_biased(rest);
-        if ((double_pendulum_energy_f32_above(square) | (size - 63) | (double_pendulum_energy_f32_biased(target) - size)) > 127) {
+        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
+        if ((double_pendulum_energy_f32_outside(square) | (size - 63) | (double_pendulum_energy_f32_biased(target) - size)) > 127) {
             return double_pendulum_energy_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
         const float scale = rest / square;
@@ -613,7 +631,7 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL int double_pendulum_energy_f32_solve_cor
         }
         return DOUBLE_PENDULUM_ENERGY_F32_OK;
     }
-    if ((double_pendulum_energy_f32_above(square) | (double_pendulum_energy_f32_biased(target) - 63)) <= 127) {
+    if ((double_pendulum_energy_f32_outside(square) | (double_pendulum_energy_f32_biased(target) - 63)) <= 127) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
         const float t_1 = s_1 * scale;
@@ -624,14 +642,14 @@ static DOUBLE_PENDULUM_ENERGY_F32_SMALL int double_pendulum_energy_f32_solve_cor
         }
         return DOUBLE_PENDULUM_ENERGY_F32_OK;
     }
-    return double_pendulum_energy_f32_solve_values(s_0, s_1, target, y, tau, info);
+    return double_pendulum_energy_f32_solve_values(s_0, s_1, target, tau, info);
 }
 
 static int double_pendulum_energy_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_energy_f32_info *info)
 {
     const float square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_f32_above(square) <= 127) {
+    if (double_pendulum_energy_f32_outside(square) <= 127) {
         if (info != NULL) {
             (void)double_pendulum_energy_f32_short_info(square, 0.0f, info);
         }
@@ -867,7 +885,7 @@ int double_pendulum_energy_f32_S(const double_pendulum_energy_f32_model *model, 
 {
     float new_S[2];
     if (!(double_pendulum_energy_f32_finite(in->q, 2) && double_pendulum_energy_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_F32_NONFINITE;
+        return double_pendulum_energy_f32_reason(DOUBLE_PENDULUM_ENERGY_F32_NONFINITE, in);
     }
     double_pendulum_energy_f32_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_f32_finite(new_S, 2))) {
@@ -910,14 +928,15 @@ const double_pendulum_energy_f32_params double_pendulum_energy_f32_params_defaul
     9.81f /* g */
 };
 
-int double_pendulum_energy_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_f32_info *info)
-{
-    return double_pendulum_energy_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_ENERGY_F32_COLD int double_pendulum_energy_f32_failed(int status, const double_pendulum_energy_f32_input *in, double_pendulum_energy_f32_info *info)
 {
     return double_pendulum_energy_f32_refuse(double_pendulum_energy_f32_reason(status, in), info);
+}
+
+int double_pendulum_energy_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_f32_info *info)
+{
+    return double_pendulum_energy_f32_pinv_core(S, S_pinv, info);
 }
 
 int double_pendulum_energy_f32_control(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *tau, double_pendulum_energy_f32_info *info)

@@ -1603,7 +1603,7 @@ int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_
     float mass_pivot[1], mass_scale[1];
     int status;
     if (!(double_pendulum_energy_and_path_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
+        return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE, in);
     }
     double_pendulum_energy_and_path_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
@@ -1662,14 +1662,15 @@ const double_pendulum_energy_and_path_f32_params double_pendulum_energy_and_path
     9.81f /* g */
 };
 
-int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_and_path_f32_info *info)
-{
-    return double_pendulum_energy_and_path_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_failed(int status, const double_pendulum_energy_and_path_f32_input *in, double_pendulum_energy_and_path_f32_info *info)
 {
     return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(status, in), info);
+}
+
+int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_and_path_f32_info *info)
+{
+    return double_pendulum_energy_and_path_f32_pinv_core(S, S_pinv, info);
 }
 
 int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *tau, double_pendulum_energy_and_path_f32_info *info)
@@ -1680,7 +1681,7 @@ int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and
     double_pendulum_energy_and_path_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_f32_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(status, in), info);
+        return double_pendulum_energy_and_path_f32_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_f32_solve_core(S, z, NULL, tau, info);

@@ -1637,7 +1637,7 @@ int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_mode
     double mass_pivot[1], mass_scale[1];
     int status;
     if (!(double_pendulum_energy_and_path_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
+        return double_pendulum_energy_and_path_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE, in);
     }
     double_pendulum_energy_and_path_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
@@ -1696,14 +1696,15 @@ const double_pendulum_energy_and_path_params double_pendulum_energy_and_path_par
     9.81 /* g */
 };
 
-int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info)
-{
-    return double_pendulum_energy_and_path_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_failed(int status, const double_pendulum_energy_and_path_input *in, double_pendulum_energy_and_path_info *info)
 {
     return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(status, in), info);
+}
+
+int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info)
+{
+    return double_pendulum_energy_and_path_pinv_core(S, S_pinv, info);
 }
 
 int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info)
@@ -1714,7 +1715,7 @@ int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_pat
     double_pendulum_energy_and_path_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = double_pendulum_energy_and_path_mass_status(mass_pivot, mass_scale, 1);
     if (status < 0) {
-        return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(status, in), info);
+        return double_pendulum_energy_and_path_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = double_pendulum_energy_and_path_solve_core(S, z, NULL, tau, info);

@@ -341,6 +341,19 @@ static uint64_t double_pendulum_energy_free_y_biased(double x)
     return word.bits << 1 >> 53;
 }
 
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t double_pendulum_energy_free_y_biased_square(double square)
+{
+    double_pendulum_energy_free_y_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int double_pendulum_energy_free_y_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
+}
 
 /* Negative: nothing but the status is known. */
 static int double_pendulum_energy_free_y_refuse(int status, double_pendulum_energy_free_y_info *info)
@@ -529,6 +542,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solv
         rest -= row.s[0] * double_pendulum_energy_free_y_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_shift(y[1], -unit);
     }
     refine = y != NULL && row.rank && double_pendulum_energy_free_y_cancels(rest, target);
+    /* what is refined takes the reciprocal twice, as in the short form */
     scale = refine ? rest * (1.0 / row.square) : row.rank ? double_pendulum_energy_free_y_over_square(&row, rest) : 0.0;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_free_y_shift(row.s[j] * scale, unit);
@@ -593,9 +607,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_pinv
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint64_t double_pendulum_energy_free_y_above(double square)
+/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint64_t double_pendulum_energy_free_y_outside(double square)
 {
     double_pendulum_energy_free_y_word word;
     word.value = square;
@@ -614,17 +628,17 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_shor
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solve_values(double s_0, double s_1, double target, const double *y, double *tau, double_pendulum_energy_free_y_info *info)
+/* The scaled form, S and z by value: so that the short one need not store them first. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_solve_values(double s_0, double s_1, double target, double *tau, double_pendulum_energy_free_y_info *info)
 {
     const double S[2] = {s_0, s_1};
-    return double_pendulum_energy_free_y_solve_scaled(S, &target, y, tau, info);
+    return double_pendulum_energy_free_y_solve_scaled(S, &target, NULL, tau, info);
 }
 
 /* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_APART int double_pendulum_energy_free_y_solve_refined(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_free_y_info *info, double square, double rest)
 {
-    if ((double_pendulum_energy_free_y_above(square) | (double_pendulum_energy_free_y_biased(rest) - 511)) <= 1023) {
+    if ((double_pendulum_energy_free_y_outside(square) | (double_pendulum_energy_free_y_biased(rest) - 511)) <= 1023) {
         const double s_0 = S[0];
         const double s_1 = S[1];
         const double target = z[0];
@@ -633,10 +647,14 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_APART int double_pendulum_energy_free_y_sol
         double t_0 = y[0] + s_0 * scale;
         double t_1 = y[1] + s_1 * scale;
         const double more = (target - (s_0 * t_0 + s_1 * t_1)) * inverse;
+        double tau_square;
         t_0 += s_0 * more;
         t_1 += s_1 * more;
+        tau_square = t_0 * t_0 + t_1 * t_1;
+        /* a larger step could carry tau out of range */
         if (double_pendulum_energy_free_y_biased(more) <= 1534 &&
-            !(double_pendulum_energy_free_y_drowned(rest, target) && double_pendulum_energy_free_y_exhausted(square, t_0 * t_0 + t_1 * t_1, rest))) {
+            (!double_pendulum_energy_free_y_drowned(rest, target) ||
+             (double_pendulum_energy_free_y_within(double_pendulum_energy_free_y_biased_square(tau_square), 263, 1783) && !double_pendulum_energy_free_y_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             if (info != NULL) {
@@ -654,13 +672,13 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL int double_pendulum_energy_free_y_sol
     const double s_1 = S[1];
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1;
-    /* one comparison for all: what is out of range sets high bits */
     if (y != NULL) {
         const double y_0 = y[0];
         const double y_1 = y[1];
         const double rest = target - (s_0 * y_0 + s_1 * y_1);
         const uint64_t size = double_pendulum_energy_free_y_biased(rest);
-        if ((double_pendulum_energy_free_y_above(square) | (size - 511) | (double_pendulum_energy_free_y_biased(target) - size)) > 1023) {
+        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
+        if ((double_pendulum_energy_free_y_outside(square) | (size - 511) | (double_pendulum_energy_free_y_biased(target) - size)) > 1023) {
             return double_pendulum_energy_free_y_solve_refined(S, z, y, tau, info, square, rest);
         }
         const double scale = rest / square;
@@ -673,7 +691,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL int double_pendulum_energy_free_y_sol
         }
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
     }
-    if ((double_pendulum_energy_free_y_above(square) | (double_pendulum_energy_free_y_biased(target) - 511)) <= 1023) {
+    if ((double_pendulum_energy_free_y_outside(square) | (double_pendulum_energy_free_y_biased(target) - 511)) <= 1023) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         const double t_1 = s_1 * scale;
@@ -684,14 +702,14 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_SMALL int double_pendulum_energy_free_y_sol
         }
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_OK;
     }
-    return double_pendulum_energy_free_y_solve_values(s_0, s_1, target, y, tau, info);
+    return double_pendulum_energy_free_y_solve_values(s_0, s_1, target, tau, info);
 }
 
 static int double_pendulum_energy_free_y_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info)
 {
     const double square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_free_y_above(square) <= 1023) {
+    if (double_pendulum_energy_free_y_outside(square) <= 1023) {
         if (info != NULL) {
             (void)double_pendulum_energy_free_y_short_info(square, 0.0, info);
         }
@@ -1037,7 +1055,7 @@ int double_pendulum_energy_free_y_S(const double_pendulum_energy_free_y_model *m
 {
     double new_S[2];
     if (!(double_pendulum_energy_free_y_finite(in->q, 2) && double_pendulum_energy_free_y_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE;
+        return double_pendulum_energy_free_y_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_NONFINITE, in);
     }
     double_pendulum_energy_free_y_eval_S(model, in, new_S);
     if (!(double_pendulum_energy_free_y_finite(new_S, 2))) {
@@ -1080,14 +1098,15 @@ const double_pendulum_energy_free_y_params double_pendulum_energy_free_y_params_
     9.81 /* g */
 };
 
-int double_pendulum_energy_free_y_pinv(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info)
-{
-    return double_pendulum_energy_free_y_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_COLD int double_pendulum_energy_free_y_failed(int status, const double_pendulum_energy_free_y_input *in, double_pendulum_energy_free_y_info *info)
 {
     return double_pendulum_energy_free_y_refuse(double_pendulum_energy_free_y_reason(status, in), info);
+}
+
+int double_pendulum_energy_free_y_pinv(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info)
+{
+    return double_pendulum_energy_free_y_pinv_core(S, S_pinv, info);
 }
 
 int double_pendulum_energy_free_y_control(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *tau, double_pendulum_energy_free_y_info *info)

@@ -1293,9 +1293,9 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint32_t double_pendulum_ideal_f32_reaction_above(float square)
+/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint32_t double_pendulum_ideal_f32_reaction_outside(float square)
 {
     double_pendulum_ideal_f32_reaction_word word;
     word.value = square;
@@ -1314,7 +1314,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sho
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
+/* The scaled form, S and z by value: so that the short one need not store them first. */
 static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_values(float s_0, float target, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     const float S[1] = {s_0};
@@ -1326,8 +1326,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL int double_pendulum_ideal_f32_reaction_so
     const float s_0 = S[0];
     const float target = z[0];
     const float square = s_0 * s_0;
-    /* one comparison for all: what is out of range sets high bits */
-    if ((double_pendulum_ideal_f32_reaction_above(square) | (double_pendulum_ideal_f32_reaction_biased(target) - 63)) <= 127 &&
+    if ((double_pendulum_ideal_f32_reaction_outside(square) | (double_pendulum_ideal_f32_reaction_biased(target) - 63)) <= 127 &&
         (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000))) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
@@ -1639,7 +1638,7 @@ int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model, co
 {
     float new_T[4];
     if (!(double_pendulum_ideal_f32_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
+        return double_pendulum_ideal_f32_reason(DOUBLE_PENDULUM_IDEAL_F32_NONFINITE, in);
     }
     double_pendulum_ideal_f32_eval_T(model, in, new_T);
     if (!(double_pendulum_ideal_f32_finite(new_T, 4))) {
@@ -1669,14 +1668,15 @@ const double_pendulum_ideal_f32_params double_pendulum_ideal_f32_params_default 
     9.81f /* g */
 };
 
-int double_pendulum_ideal_f32_pinv(const float *G, float *G_pinv, double_pendulum_ideal_f32_info *info)
-{
-    return double_pendulum_ideal_f32_pinv_core(G, G_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_failed(int status, const double_pendulum_ideal_f32_input *in, double_pendulum_ideal_f32_info *info)
 {
     return double_pendulum_ideal_f32_refuse(double_pendulum_ideal_f32_reason(status, in), info);
+}
+
+int double_pendulum_ideal_f32_pinv(const float *G, float *G_pinv, double_pendulum_ideal_f32_info *info)
+{
+    return double_pendulum_ideal_f32_pinv_core(G, G_pinv, info);
 }
 
 /* G and its pseudo-inverse, row by row: computed at generation in exact rationals. */

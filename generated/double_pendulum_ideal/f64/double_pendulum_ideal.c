@@ -1327,9 +1327,9 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint64_t double_pendulum_ideal_reaction_above(double square)
+/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint64_t double_pendulum_ideal_reaction_outside(double square)
 {
     double_pendulum_ideal_reaction_word word;
     word.value = square;
@@ -1348,7 +1348,7 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_short_info(
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
+/* The scaled form, S and z by value: so that the short one need not store them first. */
 static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_values(double s_0, double target, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double S[1] = {s_0};
@@ -1360,8 +1360,7 @@ static DOUBLE_PENDULUM_IDEAL_SMALL int double_pendulum_ideal_reaction_solve_core
     const double s_0 = S[0];
     const double target = z[0];
     const double square = s_0 * s_0;
-    /* one comparison for all: what is out of range sets high bits */
-    if ((double_pendulum_ideal_reaction_above(square) | (double_pendulum_ideal_reaction_biased(target) - 511)) <= 1023 &&
+    if ((double_pendulum_ideal_reaction_outside(square) | (double_pendulum_ideal_reaction_biased(target) - 511)) <= 1023 &&
         (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000))) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
@@ -1673,7 +1672,7 @@ int double_pendulum_ideal_T(const double_pendulum_ideal_model *model, const doub
 {
     double new_T[4];
     if (!(double_pendulum_ideal_finite(&in->E_0, 1))) {
-        return DOUBLE_PENDULUM_IDEAL_NONFINITE;
+        return double_pendulum_ideal_reason(DOUBLE_PENDULUM_IDEAL_NONFINITE, in);
     }
     double_pendulum_ideal_eval_T(model, in, new_T);
     if (!(double_pendulum_ideal_finite(new_T, 4))) {
@@ -1703,14 +1702,15 @@ const double_pendulum_ideal_params double_pendulum_ideal_params_default = {
     9.81 /* g */
 };
 
-int double_pendulum_ideal_pinv(const double *G, double *G_pinv, double_pendulum_ideal_info *info)
-{
-    return double_pendulum_ideal_pinv_core(G, G_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_failed(int status, const double_pendulum_ideal_input *in, double_pendulum_ideal_info *info)
 {
     return double_pendulum_ideal_refuse(double_pendulum_ideal_reason(status, in), info);
+}
+
+int double_pendulum_ideal_pinv(const double *G, double *G_pinv, double_pendulum_ideal_info *info)
+{
+    return double_pendulum_ideal_pinv_core(G, G_pinv, info);
 }
 
 /* G and its pseudo-inverse, row by row: computed at generation in exact rationals. */

@@ -6384,7 +6384,7 @@ int iiwa_pose_f32_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
 {
     float new_psi[6];
     if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_F32_NONFINITE;
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_NONFINITE, in);
     }
     iiwa_pose_f32_eval_psi(model, in, new_psi);
     if (!(iiwa_pose_f32_finite(new_psi, 6))) {
@@ -6400,7 +6400,7 @@ int iiwa_pose_f32_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input 
     float mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_F32_NONFINITE;
+        return iiwa_pose_f32_reason(IIWA_POSE_F32_NONFINITE, in);
     }
     iiwa_pose_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
@@ -6452,14 +6452,15 @@ int iiwa_pose_f32_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_inpu
 
 const iiwa_pose_f32_params iiwa_pose_f32_params_default = { 0 };
 
-int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
-{
-    return iiwa_pose_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static IIWA_POSE_F32_COLD int iiwa_pose_f32_failed(int status, const iiwa_pose_f32_input *in, iiwa_pose_f32_info *info)
 {
     return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(status, in), info);
+}
+
+int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
+{
+    return iiwa_pose_f32_pinv_core(S, S_pinv, info);
 }
 
 int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau, iiwa_pose_f32_info *info)
@@ -6470,7 +6471,7 @@ int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_
     iiwa_pose_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_f32_refuse(iiwa_pose_f32_reason(status, in), info);
+        return iiwa_pose_f32_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_f32_solve_core(S, z, NULL, tau, info);

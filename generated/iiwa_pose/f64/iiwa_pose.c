@@ -6418,7 +6418,7 @@ int iiwa_pose_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, doubl
 {
     double new_psi[6];
     if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_NONFINITE;
+        return iiwa_pose_reason(IIWA_POSE_NONFINITE, in);
     }
     iiwa_pose_eval_psi(model, in, new_psi);
     if (!(iiwa_pose_finite(new_psi, 6))) {
@@ -6434,7 +6434,7 @@ int iiwa_pose_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double 
     double mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
-        return IIWA_POSE_NONFINITE;
+        return iiwa_pose_reason(IIWA_POSE_NONFINITE, in);
     }
     iiwa_pose_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
@@ -6486,14 +6486,15 @@ int iiwa_pose_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, doubl
 
 const iiwa_pose_params iiwa_pose_params_default = { 0 };
 
-int iiwa_pose_pinv(const double *S, double *S_pinv, iiwa_pose_info *info)
-{
-    return iiwa_pose_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static IIWA_POSE_COLD int iiwa_pose_failed(int status, const iiwa_pose_input *in, iiwa_pose_info *info)
 {
     return iiwa_pose_refuse(iiwa_pose_reason(status, in), info);
+}
+
+int iiwa_pose_pinv(const double *S, double *S_pinv, iiwa_pose_info *info)
+{
+    return iiwa_pose_pinv_core(S, S_pinv, info);
 }
 
 int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, double *tau, iiwa_pose_info *info)
@@ -6504,7 +6505,7 @@ int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, d
     iiwa_pose_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_pose_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_pose_refuse(iiwa_pose_reason(status, in), info);
+        return iiwa_pose_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_pose_solve_core(S, z, NULL, tau, info);

@@ -4383,7 +4383,7 @@ int iiwa_position_f32_psi(const iiwa_position_f32_model *model, const iiwa_posit
 {
     float new_psi[3];
     if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_F32_NONFINITE;
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_psi(model, in, new_psi);
     if (!(iiwa_position_f32_finite(new_psi, 3))) {
@@ -4399,7 +4399,7 @@ int iiwa_position_f32_S(const iiwa_position_f32_model *model, const iiwa_positio
     float mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_F32_NONFINITE;
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
@@ -4419,7 +4419,7 @@ int iiwa_position_f32_z(const iiwa_position_f32_model *model, const iiwa_positio
     float mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_F32_NONFINITE;
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
@@ -4440,7 +4440,7 @@ int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_posit
     float mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_F32_NONFINITE;
+        return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
@@ -4457,14 +4457,15 @@ int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_posit
 
 const iiwa_position_f32_params iiwa_position_f32_params_default = { 0 };
 
-int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info *info)
-{
-    return iiwa_position_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static IIWA_POSITION_F32_COLD int iiwa_position_f32_failed(int status, const iiwa_position_f32_input *in, iiwa_position_f32_info *info)
 {
     return iiwa_position_f32_refuse(iiwa_position_f32_reason(status, in), info);
+}
+
+int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info *info)
+{
+    return iiwa_position_f32_pinv_core(S, S_pinv, info);
 }
 
 int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *tau, iiwa_position_f32_info *info)
@@ -4473,12 +4474,12 @@ int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_p
     float mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_f32_finite(in->q + 6, 1))) {
-        return iiwa_position_f32_refuse(IIWA_POSITION_F32_NONFINITE, info);
+        return iiwa_position_f32_failed(IIWA_POSITION_F32_NONFINITE, in, info);
     }
     iiwa_position_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_f32_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_f32_refuse(iiwa_position_f32_reason(status, in), info);
+        return iiwa_position_f32_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_f32_solve_core(S, z, NULL, tau, info);

@@ -4417,7 +4417,7 @@ int iiwa_position_psi(const iiwa_position_model *model, const iiwa_position_inpu
 {
     double new_psi[3];
     if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_NONFINITE;
+        return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_psi(model, in, new_psi);
     if (!(iiwa_position_finite(new_psi, 3))) {
@@ -4433,7 +4433,7 @@ int iiwa_position_S(const iiwa_position_model *model, const iiwa_position_input 
     double mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
-        return IIWA_POSITION_NONFINITE;
+        return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
@@ -4453,7 +4453,7 @@ int iiwa_position_z(const iiwa_position_model *model, const iiwa_position_input 
     double mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_NONFINITE;
+        return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_z(model, in, new_z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
@@ -4474,7 +4474,7 @@ int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_inpu
     double mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_finite(in->q + 6, 1))) {
-        return IIWA_POSITION_NONFINITE;
+        return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
@@ -4491,14 +4491,15 @@ int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_inpu
 
 const iiwa_position_params iiwa_position_params_default = { 0 };
 
-int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info)
-{
-    return iiwa_position_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static IIWA_POSITION_COLD int iiwa_position_failed(int status, const iiwa_position_input *in, iiwa_position_info *info)
 {
     return iiwa_position_refuse(iiwa_position_reason(status, in), info);
+}
+
+int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info)
+{
+    return iiwa_position_pinv_core(S, S_pinv, info);
 }
 
 int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau, iiwa_position_info *info)
@@ -4507,12 +4508,12 @@ int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_
     double mass_pivot[5], mass_scale[5];
     int status;
     if (!(iiwa_position_finite(in->q + 6, 1))) {
-        return iiwa_position_refuse(IIWA_POSITION_NONFINITE, info);
+        return iiwa_position_failed(IIWA_POSITION_NONFINITE, in, info);
     }
     iiwa_position_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = iiwa_position_mass_status(mass_pivot, mass_scale, 5);
     if (status < 0) {
-        return iiwa_position_refuse(iiwa_position_reason(status, in), info);
+        return iiwa_position_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = iiwa_position_solve_core(S, z, NULL, tau, info);

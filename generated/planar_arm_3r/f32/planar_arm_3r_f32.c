@@ -2076,7 +2076,7 @@ int planar_arm_3r_f32_psi(const planar_arm_3r_f32_model *model, const planar_arm
 {
     float new_psi[2];
     if (!(planar_arm_3r_f32_finite(in->u, 3) && planar_arm_3r_f32_finite(in->r_dot, 2) && planar_arm_3r_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_F32_NONFINITE;
+        return planar_arm_3r_f32_reason(PLANAR_ARM_3R_F32_NONFINITE, in);
     }
     planar_arm_3r_f32_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_f32_finite(new_psi, 2))) {
@@ -2092,7 +2092,7 @@ int planar_arm_3r_f32_S(const planar_arm_3r_f32_model *model, const planar_arm_3
     float mass_pivot[3], mass_scale[3];
     int status;
     if (!(planar_arm_3r_f32_finite(in->u, 3) && planar_arm_3r_f32_finite(in->r, 2) && planar_arm_3r_f32_finite(in->r_dot, 2) && planar_arm_3r_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_F32_NONFINITE;
+        return planar_arm_3r_f32_reason(PLANAR_ARM_3R_F32_NONFINITE, in);
     }
     planar_arm_3r_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_f32_mass_status(mass_pivot, mass_scale, 3);
@@ -2148,14 +2148,15 @@ const planar_arm_3r_f32_params planar_arm_3r_f32_params_default = {
     9.81f /* g */
 };
 
-int planar_arm_3r_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_f32_info *info)
-{
-    return planar_arm_3r_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static PLANAR_ARM_3R_F32_COLD int planar_arm_3r_f32_failed(int status, const planar_arm_3r_f32_input *in, planar_arm_3r_f32_info *info)
 {
     return planar_arm_3r_f32_refuse(planar_arm_3r_f32_reason(status, in), info);
+}
+
+int planar_arm_3r_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_f32_info *info)
+{
+    return planar_arm_3r_f32_pinv_core(S, S_pinv, info);
 }
 
 int planar_arm_3r_f32_control(const planar_arm_3r_f32_model *model, const planar_arm_3r_f32_input *in, float *tau, planar_arm_3r_f32_info *info)
@@ -2166,7 +2167,7 @@ int planar_arm_3r_f32_control(const planar_arm_3r_f32_model *model, const planar
     planar_arm_3r_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_f32_refuse(planar_arm_3r_f32_reason(status, in), info);
+        return planar_arm_3r_f32_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_f32_solve_core(S, z, NULL, tau, info);

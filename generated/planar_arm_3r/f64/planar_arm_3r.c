@@ -2110,7 +2110,7 @@ int planar_arm_3r_psi(const planar_arm_3r_model *model, const planar_arm_3r_inpu
 {
     double new_psi[2];
     if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r_dot, 2) && planar_arm_3r_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_NONFINITE;
+        return planar_arm_3r_reason(PLANAR_ARM_3R_NONFINITE, in);
     }
     planar_arm_3r_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_finite(new_psi, 2))) {
@@ -2126,7 +2126,7 @@ int planar_arm_3r_S(const planar_arm_3r_model *model, const planar_arm_3r_input 
     double mass_pivot[3], mass_scale[3];
     int status;
     if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r, 2) && planar_arm_3r_finite(in->r_dot, 2) && planar_arm_3r_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_NONFINITE;
+        return planar_arm_3r_reason(PLANAR_ARM_3R_NONFINITE, in);
     }
     planar_arm_3r_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
@@ -2182,14 +2182,15 @@ const planar_arm_3r_params planar_arm_3r_params_default = {
     9.81 /* g */
 };
 
-int planar_arm_3r_pinv(const double *S, double *S_pinv, planar_arm_3r_info *info)
-{
-    return planar_arm_3r_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static PLANAR_ARM_3R_COLD int planar_arm_3r_failed(int status, const planar_arm_3r_input *in, planar_arm_3r_info *info)
 {
     return planar_arm_3r_refuse(planar_arm_3r_reason(status, in), info);
+}
+
+int planar_arm_3r_pinv(const double *S, double *S_pinv, planar_arm_3r_info *info)
+{
+    return planar_arm_3r_pinv_core(S, S_pinv, info);
 }
 
 int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *tau, planar_arm_3r_info *info)
@@ -2200,7 +2201,7 @@ int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_
     planar_arm_3r_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
     status = planar_arm_3r_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_refuse(planar_arm_3r_reason(status, in), info);
+        return planar_arm_3r_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_solve_core(S, z, NULL, tau, info);

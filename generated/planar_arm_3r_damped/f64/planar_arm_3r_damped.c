@@ -2389,7 +2389,7 @@ int planar_arm_3r_damped_psi(const planar_arm_3r_damped_model *model, const plan
 {
     double new_psi[2];
     if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_NONFINITE, in);
     }
     planar_arm_3r_damped_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_damped_finite(new_psi, 2))) {
@@ -2405,7 +2405,7 @@ int planar_arm_3r_damped_S(const planar_arm_3r_damped_model *model, const planar
     double mass_pivot[3], mass_scale[3];
     int status;
     if (!(planar_arm_3r_damped_finite(in->u, 3) && planar_arm_3r_damped_finite(in->r, 2) && planar_arm_3r_damped_finite(in->r_dot, 2) && planar_arm_3r_damped_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_DAMPED_NONFINITE;
+        return planar_arm_3r_damped_reason(PLANAR_ARM_3R_DAMPED_NONFINITE, in);
     }
     planar_arm_3r_damped_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
@@ -2461,14 +2461,15 @@ const planar_arm_3r_damped_params planar_arm_3r_damped_params_default = {
     9.81 /* g */
 };
 
-int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_damped_info *info)
-{
-    return planar_arm_3r_damped_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static PLANAR_ARM_3R_DAMPED_COLD int planar_arm_3r_damped_failed(int status, const planar_arm_3r_damped_input *in, planar_arm_3r_damped_info *info)
 {
     return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(status, in), info);
+}
+
+int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_damped_info *info)
+{
+    return planar_arm_3r_damped_pinv_core(S, S_pinv, info);
 }
 
 int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *tau, planar_arm_3r_damped_info *info)
@@ -2479,7 +2480,7 @@ int planar_arm_3r_damped_control(const planar_arm_3r_damped_model *model, const 
     planar_arm_3r_damped_eval_S_z_y(model, in, S, z, y, mass_pivot, mass_scale);
     status = planar_arm_3r_damped_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_damped_refuse(planar_arm_3r_damped_reason(status, in), info);
+        return planar_arm_3r_damped_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_damped_solve_core(S, z, y, tau, info);

@@ -2552,7 +2552,7 @@ int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model
 {
     float new_psi[2];
     if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, in);
     }
     planar_arm_3r_weighted_f32_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_weighted_f32_finite(new_psi, 2))) {
@@ -2568,7 +2568,7 @@ int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model, 
     float mass_pivot[3], mass_scale[3];
     int status;
     if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
+        return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, in);
     }
     planar_arm_3r_weighted_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
@@ -2624,14 +2624,15 @@ const planar_arm_3r_weighted_f32_params planar_arm_3r_weighted_f32_params_defaul
     9.81f /* g */
 };
 
-int planar_arm_3r_weighted_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_weighted_f32_info *info)
-{
-    return planar_arm_3r_weighted_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_failed(int status, const planar_arm_3r_weighted_f32_input *in, planar_arm_3r_weighted_f32_info *info)
 {
     return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(status, in), info);
+}
+
+int planar_arm_3r_weighted_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_weighted_f32_info *info)
+{
+    return planar_arm_3r_weighted_f32_pinv_core(S, S_pinv, info);
 }
 
 int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *tau, planar_arm_3r_weighted_f32_info *info)
@@ -2643,7 +2644,7 @@ int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *m
     planar_arm_3r_weighted_f32_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_f32_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(status, in), info);
+        return planar_arm_3r_weighted_f32_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_f32_solve_core(S_w, z, NULL, sigma, info);

@@ -2586,7 +2586,7 @@ int planar_arm_3r_weighted_psi(const planar_arm_3r_weighted_model *model, const 
 {
     double new_psi[2];
     if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_NONFINITE, in);
     }
     planar_arm_3r_weighted_eval_psi(model, in, new_psi);
     if (!(planar_arm_3r_weighted_finite(new_psi, 2))) {
@@ -2602,7 +2602,7 @@ int planar_arm_3r_weighted_S(const planar_arm_3r_weighted_model *model, const pl
     double mass_pivot[3], mass_scale[3];
     int status;
     if (!(planar_arm_3r_weighted_finite(in->u, 3) && planar_arm_3r_weighted_finite(in->r, 2) && planar_arm_3r_weighted_finite(in->r_dot, 2) && planar_arm_3r_weighted_finite(in->r_ddot, 2))) {
-        return PLANAR_ARM_3R_WEIGHTED_NONFINITE;
+        return planar_arm_3r_weighted_reason(PLANAR_ARM_3R_WEIGHTED_NONFINITE, in);
     }
     planar_arm_3r_weighted_eval_S(model, in, new_S, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
@@ -2658,14 +2658,15 @@ const planar_arm_3r_weighted_params planar_arm_3r_weighted_params_default = {
     9.81 /* g */
 };
 
-int planar_arm_3r_weighted_pinv(const double *S, double *S_pinv, planar_arm_3r_weighted_info *info)
-{
-    return planar_arm_3r_weighted_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static PLANAR_ARM_3R_WEIGHTED_COLD int planar_arm_3r_weighted_failed(int status, const planar_arm_3r_weighted_input *in, planar_arm_3r_weighted_info *info)
 {
     return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(status, in), info);
+}
+
+int planar_arm_3r_weighted_pinv(const double *S, double *S_pinv, planar_arm_3r_weighted_info *info)
+{
+    return planar_arm_3r_weighted_pinv_core(S, S_pinv, info);
 }
 
 int planar_arm_3r_weighted_control(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *tau, planar_arm_3r_weighted_info *info)
@@ -2677,7 +2678,7 @@ int planar_arm_3r_weighted_control(const planar_arm_3r_weighted_model *model, co
     planar_arm_3r_weighted_eval_S_w_z_recover(model, in, S_w, z, recover, mass_pivot, mass_scale);
     status = planar_arm_3r_weighted_mass_status(mass_pivot, mass_scale, 3);
     if (status < 0) {
-        return planar_arm_3r_weighted_refuse(planar_arm_3r_weighted_reason(status, in), info);
+        return planar_arm_3r_weighted_failed(status, in, info);
     }
     /* whatever is NaN or infinite in its system, the solver refuses */
     status = planar_arm_3r_weighted_solve_core(S_w, z, NULL, sigma, info);

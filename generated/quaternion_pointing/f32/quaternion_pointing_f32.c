@@ -1527,7 +1527,7 @@ int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, cons
 {
     float new_psi[3];
     if (!(quaternion_pointing_f32_finite(in->u, 2))) {
-        return QUATERNION_POINTING_F32_NONFINITE;
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_NONFINITE, in);
     }
     quaternion_pointing_f32_eval_psi(model, in, new_psi);
     if (!(quaternion_pointing_f32_finite(new_psi, 3))) {
@@ -1541,7 +1541,7 @@ int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const 
 {
     float new_S[9];
     if (!(quaternion_pointing_f32_finite(in->u, 3))) {
-        return QUATERNION_POINTING_F32_NONFINITE;
+        return quaternion_pointing_f32_reason(QUATERNION_POINTING_F32_NONFINITE, in);
     }
     quaternion_pointing_f32_eval_S(model, in, new_S);
     if (!(quaternion_pointing_f32_finite(new_S, 9))) {
@@ -1581,14 +1581,15 @@ const quaternion_pointing_f32_params quaternion_pointing_f32_params_default = {
     8.5f /* I_3 */
 };
 
-int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_pointing_f32_info *info)
-{
-    return quaternion_pointing_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_failed(int status, const quaternion_pointing_f32_input *in, quaternion_pointing_f32_info *info)
 {
     return quaternion_pointing_f32_refuse(quaternion_pointing_f32_reason(status, in), info);
+}
+
+int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_pointing_f32_info *info)
+{
+    return quaternion_pointing_f32_pinv_core(S, S_pinv, info);
 }
 
 int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *tau, quaternion_pointing_f32_info *info)

@@ -1527,7 +1527,7 @@ int quaternion_pointing_psi(const quaternion_pointing_model *model, const quater
 {
     double new_psi[3];
     if (!(quaternion_pointing_finite(in->u, 2))) {
-        return QUATERNION_POINTING_NONFINITE;
+        return quaternion_pointing_reason(QUATERNION_POINTING_NONFINITE, in);
     }
     quaternion_pointing_eval_psi(model, in, new_psi);
     if (!(quaternion_pointing_finite(new_psi, 3))) {
@@ -1541,7 +1541,7 @@ int quaternion_pointing_S(const quaternion_pointing_model *model, const quaterni
 {
     double new_S[9];
     if (!(quaternion_pointing_finite(in->u, 3))) {
-        return QUATERNION_POINTING_NONFINITE;
+        return quaternion_pointing_reason(QUATERNION_POINTING_NONFINITE, in);
     }
     quaternion_pointing_eval_S(model, in, new_S);
     if (!(quaternion_pointing_finite(new_S, 9))) {
@@ -1581,14 +1581,15 @@ const quaternion_pointing_params quaternion_pointing_params_default = {
     8.5 /* I_3 */
 };
 
-int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointing_info *info)
-{
-    return quaternion_pointing_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static QUATERNION_POINTING_COLD int quaternion_pointing_failed(int status, const quaternion_pointing_input *in, quaternion_pointing_info *info)
 {
     return quaternion_pointing_refuse(quaternion_pointing_reason(status, in), info);
+}
+
+int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointing_info *info)
+{
+    return quaternion_pointing_pinv_core(S, S_pinv, info);
 }
 
 int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info)

@@ -1693,7 +1693,7 @@ int skewed_thrusters_f32_psi(const skewed_thrusters_f32_model *model, const skew
 {
     float new_psi[6];
     if (!(skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_NONFINITE, in);
     }
     skewed_thrusters_f32_eval_psi(model, in, new_psi);
     if (!(skewed_thrusters_f32_finite(new_psi, 6))) {
@@ -1707,7 +1707,7 @@ int skewed_thrusters_f32_S(const skewed_thrusters_f32_model *model, const skewed
 {
     float new_S[48];
     if (!(skewed_thrusters_f32_finite(in->u, 6) && skewed_thrusters_f32_finite(in->velocity, 3) && skewed_thrusters_f32_finite(in->velocity_dot, 3) && skewed_thrusters_f32_finite(in->rate, 3) && skewed_thrusters_f32_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_F32_NONFINITE;
+        return skewed_thrusters_f32_reason(SKEWED_THRUSTERS_F32_NONFINITE, in);
     }
     skewed_thrusters_f32_eval_S(model, in, new_S);
     if (!(skewed_thrusters_f32_finite(new_S, 48))) {
@@ -1746,14 +1746,15 @@ const skewed_thrusters_f32_params skewed_thrusters_f32_params_default = {
     {6.0f, 7.0f, 5.0f} /* inertia */
 };
 
-int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f32_info *info)
-{
-    return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static SKEWED_THRUSTERS_F32_COLD int skewed_thrusters_f32_failed(int status, const skewed_thrusters_f32_input *in, skewed_thrusters_f32_info *info)
 {
     return skewed_thrusters_f32_refuse(skewed_thrusters_f32_reason(status, in), info);
+}
+
+int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f32_info *info)
+{
+    return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
 }
 
 /* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */

@@ -1693,7 +1693,7 @@ int skewed_thrusters_psi(const skewed_thrusters_model *model, const skewed_thrus
 {
     double new_psi[6];
     if (!(skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_NONFINITE;
+        return skewed_thrusters_reason(SKEWED_THRUSTERS_NONFINITE, in);
     }
     skewed_thrusters_eval_psi(model, in, new_psi);
     if (!(skewed_thrusters_finite(new_psi, 6))) {
@@ -1707,7 +1707,7 @@ int skewed_thrusters_S(const skewed_thrusters_model *model, const skewed_thruste
 {
     double new_S[48];
     if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3) && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
-        return SKEWED_THRUSTERS_NONFINITE;
+        return skewed_thrusters_reason(SKEWED_THRUSTERS_NONFINITE, in);
     }
     skewed_thrusters_eval_S(model, in, new_S);
     if (!(skewed_thrusters_finite(new_S, 48))) {
@@ -1746,14 +1746,15 @@ const skewed_thrusters_params skewed_thrusters_params_default = {
     {6.0, 7.0, 5.0} /* inertia */
 };
 
-int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info *info)
-{
-    return skewed_thrusters_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static SKEWED_THRUSTERS_COLD int skewed_thrusters_failed(int status, const skewed_thrusters_input *in, skewed_thrusters_info *info)
 {
     return skewed_thrusters_refuse(skewed_thrusters_reason(status, in), info);
+}
+
+int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info *info)
+{
+    return skewed_thrusters_pinv_core(S, S_pinv, info);
 }
 
 /* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */

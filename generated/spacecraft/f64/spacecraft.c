@@ -162,6 +162,19 @@ static uint64_t spacecraft_biased(double x)
     return word.bits << 1 >> 53;
 }
 
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t spacecraft_biased_square(double square)
+{
+    spacecraft_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int spacecraft_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
+}
 
 /* Negative: nothing but the status is known. */
 static int spacecraft_refuse(int status, spacecraft_info *info)
@@ -350,6 +363,7 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
         rest -= row.s[0] * spacecraft_shift(y[0], -unit) + row.s[1] * spacecraft_shift(y[1], -unit) + row.s[2] * spacecraft_shift(y[2], -unit);
     }
     refine = y != NULL && row.rank && spacecraft_cancels(rest, target);
+    /* what is refined takes the reciprocal twice, as in the short form */
     scale = refine ? rest * (1.0 / row.square) : row.rank ? spacecraft_over_square(&row, rest) : 0.0;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_shift(row.s[j] * scale, unit);
@@ -415,9 +429,9 @@ static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pin
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint64_t spacecraft_above(double square)
+/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint64_t spacecraft_outside(double square)
 {
     spacecraft_word word;
     word.value = square;
@@ -436,17 +450,17 @@ static SPACECRAFT_COLD int spacecraft_short_info(double square, double residual,
     return SPACECRAFT_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
-static SPACECRAFT_COLD int spacecraft_solve_values(double s_0, double s_1, double s_2, double target, const double *y, double *tau, spacecraft_info *info)
+/* The scaled form, S and z by value: so that the short one need not store them first. */
+static SPACECRAFT_COLD int spacecraft_solve_values(double s_0, double s_1, double s_2, double target, double *tau, spacecraft_info *info)
 {
     const double S[3] = {s_0, s_1, s_2};
-    return spacecraft_solve_scaled(S, &target, y, tau, info);
+    return spacecraft_solve_scaled(S, &target, NULL, tau, info);
 }
 
 /* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
 static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info, double square, double rest)
 {
-    if ((spacecraft_above(square) | (spacecraft_biased(rest) - 511)) <= 1023) {
+    if ((spacecraft_outside(square) | (spacecraft_biased(rest) - 511)) <= 1023) {
         const double s_0 = S[0];
         const double s_1 = S[1];
         const double s_2 = S[2];
@@ -457,11 +471,15 @@ static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const doub
         double t_1 = y[1] + s_1 * scale;
         double t_2 = y[2] + s_2 * scale;
         const double more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * inverse;
+        double tau_square;
         t_0 += s_0 * more;
         t_1 += s_1 * more;
         t_2 += s_2 * more;
+        tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
+        /* a larger step could carry tau out of range */
         if (spacecraft_biased(more) <= 1534 &&
-            !(spacecraft_drowned(rest, target) && spacecraft_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest))) {
+            (!spacecraft_drowned(rest, target) ||
+             (spacecraft_within(spacecraft_biased_square(tau_square), 263, 1783) && !spacecraft_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             tau[2] = t_2;
@@ -481,14 +499,14 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
     const double s_2 = S[2];
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
-    /* one comparison for all: what is out of range sets high bits */
     if (y != NULL) {
         const double y_0 = y[0];
         const double y_1 = y[1];
         const double y_2 = y[2];
         const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
         const uint64_t size = spacecraft_biased(rest);
-        if ((spacecraft_above(square) | (size - 511) | (spacecraft_biased(target) - size)) > 1023) {
+        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
+        if ((spacecraft_outside(square) | (size - 511) | (spacecraft_biased(target) - size)) > 1023) {
             return spacecraft_solve_refined(S, z, y, tau, info, square, rest);
         }
         const double scale = rest / square;
@@ -503,7 +521,7 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
         }
         return SPACECRAFT_OK;
     }
-    if ((spacecraft_above(square) | (spacecraft_biased(target) - 511)) <= 1023) {
+    if ((spacecraft_outside(square) | (spacecraft_biased(target) - 511)) <= 1023) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         const double t_1 = s_1 * scale;
@@ -516,14 +534,14 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
         }
         return SPACECRAFT_OK;
     }
-    return spacecraft_solve_values(s_0, s_1, s_2, target, y, tau, info);
+    return spacecraft_solve_values(s_0, s_1, s_2, target, tau, info);
 }
 
 static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info *info)
 {
     const double square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_above(square) <= 1023) {
+    if (spacecraft_outside(square) <= 1023) {
         if (info != NULL) {
             (void)spacecraft_short_info(square, 0.0, info);
         }
@@ -781,7 +799,7 @@ int spacecraft_A(const spacecraft_model *model, const spacecraft_input *in, doub
 {
     double new_A[3];
     if (!(spacecraft_finite(in->tau, 3))) {
-        return SPACECRAFT_NONFINITE;
+        return spacecraft_reason(SPACECRAFT_NONFINITE, in);
     }
     spacecraft_eval_A(model, in, new_A);
     if (!(spacecraft_finite(new_A, 3))) {
@@ -822,14 +840,15 @@ const spacecraft_params spacecraft_params_default = {
     1.0 /* a */
 };
 
-int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info)
-{
-    return spacecraft_pinv_core(A, A_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static SPACECRAFT_COLD int spacecraft_failed(int status, const spacecraft_input *in, spacecraft_info *info)
 {
     return spacecraft_refuse(spacecraft_reason(status, in), info);
+}
+
+int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info)
+{
+    return spacecraft_pinv_core(A, A_pinv, info);
 }
 
 int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in, double *tau_dot, spacecraft_info *info)

@@ -162,6 +162,19 @@ static uint32_t spacecraft_smooth_f32_biased(float x)
     return word.bits << 1 >> 24;
 }
 
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint32_t spacecraft_smooth_f32_biased_square(float square)
+{
+    spacecraft_smooth_f32_word word;
+    word.value = square;
+    return word.bits >> 23;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int spacecraft_smooth_f32_within(uint32_t biased, uint32_t low, uint32_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
+}
 
 /* Negative: nothing but the status is known. */
 static int spacecraft_smooth_f32_refuse(int status, spacecraft_smooth_f32_info *info)
@@ -350,6 +363,7 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const f
         rest -= row.s[0] * spacecraft_smooth_f32_shift(y[0], -unit) + row.s[1] * spacecraft_smooth_f32_shift(y[1], -unit) + row.s[2] * spacecraft_smooth_f32_shift(y[2], -unit);
     }
     refine = y != NULL && row.rank && spacecraft_smooth_f32_cancels(rest, target);
+    /* what is refined takes the reciprocal twice, as in the short form */
     scale = refine ? rest * (1.0f / row.square) : row.rank ? spacecraft_smooth_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_smooth_f32_shift(row.s[j] * scale, unit);
@@ -415,9 +429,9 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const fl
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint32_t spacecraft_smooth_f32_above(float square)
+/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint32_t spacecraft_smooth_f32_outside(float square)
 {
     spacecraft_smooth_f32_word word;
     word.value = square;
@@ -436,17 +450,17 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_short_info(float squ
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_values(float s_0, float s_1, float s_2, float target, const float *y, float *tau, spacecraft_smooth_f32_info *info)
+/* The scaled form, S and z by value: so that the short one need not store them first. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_values(float s_0, float s_1, float s_2, float target, float *tau, spacecraft_smooth_f32_info *info)
 {
     const float S[3] = {s_0, s_1, s_2};
-    return spacecraft_smooth_f32_solve_scaled(S, &target, y, tau, info);
+    return spacecraft_smooth_f32_solve_scaled(S, &target, NULL, tau, info);
 }
 
 /* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
 static SPACECRAFT_SMOOTH_F32_APART int spacecraft_smooth_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info, float square, float rest)
 {
-    if ((spacecraft_smooth_f32_above(square) | (spacecraft_smooth_f32_biased(rest) - 63)) <= 127) {
+    if ((spacecraft_smooth_f32_outside(square) | (spacecraft_smooth_f32_biased(rest) - 63)) <= 127) {
         const float s_0 = S[0];
         const float s_1 = S[1];
         const float s_2 = S[2];
@@ -457,11 +471,15 @@ static SPACECRAFT_SMOOTH_F32_APART int spacecraft_smooth_f32_solve_refined(const
         float t_1 = y[1] + s_1 * scale;
         float t_2 = y[2] + s_2 * scale;
         const float more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * inverse;
+        float tau_square;
         t_0 += s_0 * more;
         t_1 += s_1 * more;
         t_2 += s_2 * more;
+        tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
+        /* a larger step could carry tau out of range */
         if (spacecraft_smooth_f32_biased(more) <= 190 &&
-            !(spacecraft_smooth_f32_drowned(rest, target) && spacecraft_smooth_f32_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest))) {
+            (!spacecraft_smooth_f32_drowned(rest, target) ||
+             (spacecraft_smooth_f32_within(spacecraft_smooth_f32_biased_square(tau_square), 37, 217) && !spacecraft_smooth_f32_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             tau[2] = t_2;
@@ -481,14 +499,14 @@ static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const fl
     const float s_2 = S[2];
     const float target = z[0];
     const float square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
-    /* one comparison for all: what is out of range sets high bits */
     if (y != NULL) {
         const float y_0 = y[0];
         const float y_1 = y[1];
         const float y_2 = y[2];
         const float rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
         const uint32_t size = spacecraft_smooth_f32_biased(rest);
-        if ((spacecraft_smooth_f32_above(square) | (size - 63) | (spacecraft_smooth_f32_biased(target) - size)) > 127) {
+        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
+        if ((spacecraft_smooth_f32_outside(square) | (size - 63) | (spacecraft_smooth_f32_biased(target) - size)) > 127) {
             return spacecraft_smooth_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
         const float scale = rest / square;
@@ -503,7 +521,7 @@ static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const fl
         }
         return SPACECRAFT_SMOOTH_F32_OK;
     }
-    if ((spacecraft_smooth_f32_above(square) | (spacecraft_smooth_f32_biased(target) - 63)) <= 127) {
+    if ((spacecraft_smooth_f32_outside(square) | (spacecraft_smooth_f32_biased(target) - 63)) <= 127) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
         const float t_1 = s_1 * scale;
@@ -516,14 +534,14 @@ static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const fl
         }
         return SPACECRAFT_SMOOTH_F32_OK;
     }
-    return spacecraft_smooth_f32_solve_values(s_0, s_1, s_2, target, y, tau, info);
+    return spacecraft_smooth_f32_solve_values(s_0, s_1, s_2, target, tau, info);
 }
 
 static int spacecraft_smooth_f32_pinv_core(const float *S, float *S_pinv, spacecraft_smooth_f32_info *info)
 {
     const float square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_smooth_f32_above(square) <= 127) {
+    if (spacecraft_smooth_f32_outside(square) <= 127) {
         if (info != NULL) {
             (void)spacecraft_smooth_f32_short_info(square, 0.0f, info);
         }
@@ -822,7 +840,7 @@ int spacecraft_smooth_f32_A(const spacecraft_smooth_f32_model *model, const spac
 {
     float new_A[3];
     if (!(spacecraft_smooth_f32_finite(in->tau, 3))) {
-        return SPACECRAFT_SMOOTH_F32_NONFINITE;
+        return spacecraft_smooth_f32_reason(SPACECRAFT_SMOOTH_F32_NONFINITE, in);
     }
     spacecraft_smooth_f32_eval_A(model, in, new_A);
     if (!(spacecraft_smooth_f32_finite(new_A, 3))) {
@@ -863,14 +881,15 @@ const spacecraft_smooth_f32_params spacecraft_smooth_f32_params_default = {
     1.0f /* a */
 };
 
-int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_f32_info *info)
-{
-    return spacecraft_smooth_f32_pinv_core(A, A_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_failed(int status, const spacecraft_smooth_f32_input *in, spacecraft_smooth_f32_info *info)
 {
     return spacecraft_smooth_f32_refuse(spacecraft_smooth_f32_reason(status, in), info);
+}
+
+int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_f32_info *info)
+{
+    return spacecraft_smooth_f32_pinv_core(A, A_pinv, info);
 }
 
 int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau_dot, spacecraft_smooth_f32_info *info)

@@ -162,6 +162,19 @@ static uint64_t spacecraft_smooth_biased(double x)
     return word.bits << 1 >> 53;
 }
 
+/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+static uint64_t spacecraft_smooth_biased_square(double square)
+{
+    spacecraft_smooth_word word;
+    word.value = square;
+    return word.bits >> 52;
+}
+
+/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+static int spacecraft_smooth_within(uint64_t biased, uint64_t low, uint64_t high)
+{
+    return biased - low <= high - low; /* unsigned: one comparison */
+}
 
 /* Negative: nothing but the status is known. */
 static int spacecraft_smooth_refuse(int status, spacecraft_smooth_info *info)
@@ -350,6 +363,7 @@ static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_solve_scaled(const double *S
         rest -= row.s[0] * spacecraft_smooth_shift(y[0], -unit) + row.s[1] * spacecraft_smooth_shift(y[1], -unit) + row.s[2] * spacecraft_smooth_shift(y[2], -unit);
     }
     refine = y != NULL && row.rank && spacecraft_smooth_cancels(rest, target);
+    /* what is refined takes the reciprocal twice, as in the short form */
     scale = refine ? rest * (1.0 / row.square) : row.rank ? spacecraft_smooth_over_square(&row, rest) : 0.0;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_smooth_shift(row.s[j] * scale, unit);
@@ -415,9 +429,9 @@ static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_pinv_scaled(const double *S,
     return status;
 }
 
-/* How far a square lies above the smallest that the short form takes, in halves of a binade; huge below it, at zero, NaN
-   and infinity. */
-static uint64_t spacecraft_smooth_above(double square)
+/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
+   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+static uint64_t spacecraft_smooth_outside(double square)
 {
     spacecraft_smooth_word word;
     word.value = square;
@@ -436,17 +450,17 @@ static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_short_info(double square, do
     return SPACECRAFT_SMOOTH_OK;
 }
 
-/* By value: so that the short form needs S and z in no memory. */
-static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_solve_values(double s_0, double s_1, double s_2, double target, const double *y, double *tau, spacecraft_smooth_info *info)
+/* The scaled form, S and z by value: so that the short one need not store them first. */
+static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_solve_values(double s_0, double s_1, double s_2, double target, double *tau, spacecraft_smooth_info *info)
 {
     const double S[3] = {s_0, s_1, s_2};
-    return spacecraft_smooth_solve_scaled(S, &target, y, tau, info);
+    return spacecraft_smooth_solve_scaled(S, &target, NULL, tau, info);
 }
 
 /* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
 static SPACECRAFT_SMOOTH_APART int spacecraft_smooth_solve_refined(const double *S, const double *z, const double *y, double *tau, spacecraft_smooth_info *info, double square, double rest)
 {
-    if ((spacecraft_smooth_above(square) | (spacecraft_smooth_biased(rest) - 511)) <= 1023) {
+    if ((spacecraft_smooth_outside(square) | (spacecraft_smooth_biased(rest) - 511)) <= 1023) {
         const double s_0 = S[0];
         const double s_1 = S[1];
         const double s_2 = S[2];
@@ -457,11 +471,15 @@ static SPACECRAFT_SMOOTH_APART int spacecraft_smooth_solve_refined(const double 
         double t_1 = y[1] + s_1 * scale;
         double t_2 = y[2] + s_2 * scale;
         const double more = (target - (s_0 * t_0 + s_1 * t_1 + s_2 * t_2)) * inverse;
+        double tau_square;
         t_0 += s_0 * more;
         t_1 += s_1 * more;
         t_2 += s_2 * more;
+        tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
+        /* a larger step could carry tau out of range */
         if (spacecraft_smooth_biased(more) <= 1534 &&
-            !(spacecraft_smooth_drowned(rest, target) && spacecraft_smooth_exhausted(square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest))) {
+            (!spacecraft_smooth_drowned(rest, target) ||
+             (spacecraft_smooth_within(spacecraft_smooth_biased_square(tau_square), 263, 1783) && !spacecraft_smooth_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             tau[2] = t_2;
@@ -481,14 +499,14 @@ static SPACECRAFT_SMOOTH_SMALL int spacecraft_smooth_solve_core(const double *S,
     const double s_2 = S[2];
     const double target = z[0];
     const double square = s_0 * s_0 + s_1 * s_1 + s_2 * s_2;
-    /* one comparison for all: what is out of range sets high bits */
     if (y != NULL) {
         const double y_0 = y[0];
         const double y_1 = y[1];
         const double y_2 = y[2];
         const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
         const uint64_t size = spacecraft_smooth_biased(rest);
-        if ((spacecraft_smooth_above(square) | (size - 511) | (spacecraft_smooth_biased(target) - size)) > 1023) {
+        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
+        if ((spacecraft_smooth_outside(square) | (size - 511) | (spacecraft_smooth_biased(target) - size)) > 1023) {
             return spacecraft_smooth_solve_refined(S, z, y, tau, info, square, rest);
         }
         const double scale = rest / square;
@@ -503,7 +521,7 @@ static SPACECRAFT_SMOOTH_SMALL int spacecraft_smooth_solve_core(const double *S,
         }
         return SPACECRAFT_SMOOTH_OK;
     }
-    if ((spacecraft_smooth_above(square) | (spacecraft_smooth_biased(target) - 511)) <= 1023) {
+    if ((spacecraft_smooth_outside(square) | (spacecraft_smooth_biased(target) - 511)) <= 1023) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         const double t_1 = s_1 * scale;
@@ -516,14 +534,14 @@ static SPACECRAFT_SMOOTH_SMALL int spacecraft_smooth_solve_core(const double *S,
         }
         return SPACECRAFT_SMOOTH_OK;
     }
-    return spacecraft_smooth_solve_values(s_0, s_1, s_2, target, y, tau, info);
+    return spacecraft_smooth_solve_values(s_0, s_1, s_2, target, tau, info);
 }
 
 static int spacecraft_smooth_pinv_core(const double *S, double *S_pinv, spacecraft_smooth_info *info)
 {
     const double square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_smooth_above(square) <= 1023) {
+    if (spacecraft_smooth_outside(square) <= 1023) {
         if (info != NULL) {
             (void)spacecraft_smooth_short_info(square, 0.0, info);
         }
@@ -822,7 +840,7 @@ int spacecraft_smooth_A(const spacecraft_smooth_model *model, const spacecraft_s
 {
     double new_A[3];
     if (!(spacecraft_smooth_finite(in->tau, 3))) {
-        return SPACECRAFT_SMOOTH_NONFINITE;
+        return spacecraft_smooth_reason(SPACECRAFT_SMOOTH_NONFINITE, in);
     }
     spacecraft_smooth_eval_A(model, in, new_A);
     if (!(spacecraft_smooth_finite(new_A, 3))) {
@@ -863,14 +881,15 @@ const spacecraft_smooth_params spacecraft_smooth_params_default = {
     1.0 /* a */
 };
 
-int spacecraft_smooth_pinv(const double *A, double *A_pinv, spacecraft_smooth_info *info)
-{
-    return spacecraft_smooth_pinv_core(A, A_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static SPACECRAFT_SMOOTH_COLD int spacecraft_smooth_failed(int status, const spacecraft_smooth_input *in, spacecraft_smooth_info *info)
 {
     return spacecraft_smooth_refuse(spacecraft_smooth_reason(status, in), info);
+}
+
+int spacecraft_smooth_pinv(const double *A, double *A_pinv, spacecraft_smooth_info *info)
+{
+    return spacecraft_smooth_pinv_core(A, A_pinv, info);
 }
 
 int spacecraft_smooth_control(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *tau_dot, spacecraft_smooth_info *info)

@@ -1546,7 +1546,7 @@ int unicycle_path_f32_psi(const unicycle_path_f32_model *model, const unicycle_p
 {
     float new_psi[2];
     if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_F32_NONFINITE;
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_NONFINITE, in);
     }
     unicycle_path_f32_eval_psi(model, in, new_psi);
     if (!(unicycle_path_f32_finite(new_psi, 2))) {
@@ -1560,7 +1560,7 @@ int unicycle_path_f32_S(const unicycle_path_f32_model *model, const unicycle_pat
 {
     float new_S[4];
     if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_F32_NONFINITE;
+        return unicycle_path_f32_reason(UNICYCLE_PATH_F32_NONFINITE, in);
     }
     unicycle_path_f32_eval_S(model, in, new_S);
     if (!(unicycle_path_f32_finite(new_S, 4))) {
@@ -1602,14 +1602,15 @@ const unicycle_path_f32_params unicycle_path_f32_params_default = {
     0.2f /* ahead */
 };
 
-int unicycle_path_f32_pinv(const float *S, float *S_pinv, unicycle_path_f32_info *info)
-{
-    return unicycle_path_f32_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_failed(int status, const unicycle_path_f32_input *in, unicycle_path_f32_info *info)
 {
     return unicycle_path_f32_refuse(unicycle_path_f32_reason(status, in), info);
+}
+
+int unicycle_path_f32_pinv(const float *S, float *S_pinv, unicycle_path_f32_info *info)
+{
+    return unicycle_path_f32_pinv_core(S, S_pinv, info);
 }
 
 int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *tau, unicycle_path_f32_info *info)

@@ -1580,7 +1580,7 @@ int unicycle_path_psi(const unicycle_path_model *model, const unicycle_path_inpu
 {
     double new_psi[2];
     if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_NONFINITE;
+        return unicycle_path_reason(UNICYCLE_PATH_NONFINITE, in);
     }
     unicycle_path_eval_psi(model, in, new_psi);
     if (!(unicycle_path_finite(new_psi, 2))) {
@@ -1594,7 +1594,7 @@ int unicycle_path_S(const unicycle_path_model *model, const unicycle_path_input 
 {
     double new_S[4];
     if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
-        return UNICYCLE_PATH_NONFINITE;
+        return unicycle_path_reason(UNICYCLE_PATH_NONFINITE, in);
     }
     unicycle_path_eval_S(model, in, new_S);
     if (!(unicycle_path_finite(new_S, 4))) {
@@ -1636,14 +1636,15 @@ const unicycle_path_params unicycle_path_params_default = {
     0.2 /* ahead */
 };
 
-int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info)
-{
-    return unicycle_path_pinv_core(S, S_pinv, info);
-}
-
+/* A failure and its reason, returned and told. */
 static UNICYCLE_PATH_COLD int unicycle_path_failed(int status, const unicycle_path_input *in, unicycle_path_info *info)
 {
     return unicycle_path_refuse(unicycle_path_reason(status, in), info);
+}
+
+int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info)
+{
+    return unicycle_path_pinv_core(S, S_pinv, info);
 }
 
 int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info)

@@ -1,5 +1,4 @@
 /* tau = y + s^T (z - s y) / (s s^T), as one would write it by hand: nothing checked, nothing scaled. */
-#include <math.h>
 #include <stddef.h>
 
 void bare(const REAL *S, const REAL *z, const REAL *y, REAL *tau);
@@ -27,7 +26,7 @@ void bare(const REAL *S, const REAL *z, const REAL *y, REAL *tau)
     }
 }
 
-/* The same, and once more where y cancels: as accurate as ours while nothing leaves the range. */
+/* The same, and once more where y cancels, as ours. */
 void bare_refined(const REAL *S, const REAL *z, const REAL *y, REAL *tau)
 {
     REAL square = 0, rest = z[0], left = z[0];
@@ -37,7 +36,7 @@ void bare_refined(const REAL *S, const REAL *z, const REAL *y, REAL *tau)
         square += S[j] * S[j];
         rest -= S[j] * y[j];
     }
-    if (fabs(rest) <= fabs(z[0])) {
+    if (rest * rest <= z[0] * z[0]) {
         rest /= square;
 #pragma GCC unroll 16
         for (j = 0; j < COLUMNS; ++j) {

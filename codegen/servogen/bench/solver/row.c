@@ -66,7 +66,7 @@ int main(int argc, char **argv)
     }
     for (round = 0; round < rounds; ++round) {
         for (contender = 0; contender < CONTENDERS; ++contender) {
-            for (kind = contender == REFINED ? RANDOM_Y : 0; kind < KINDS; ++kind) {
+            for (kind = contender == REFINED ? RANDOM_Y : WITHOUT_Y; kind < KINDS; ++kind) {
                 const double spent = once(contender, kind, 200);
                 if (round == 0 || spent < best[contender][kind]) {
                     best[contender][kind] = spent;
