@@ -110,6 +110,24 @@ def test_what_noise_decides_does_not_depend_on_the_unit(scalar, s, y, z):
         assert (moved == np.ldexp(tau, k)).all()
 
 
+@pytest.mark.parametrize(
+    ("scalar", "y", "z"),
+    [
+        ("float32", "0x1p+125", "0x1p-30"),
+        ("float32", "0x1p+125", "0x1.3c0ca2p-10"),
+        ("float64", "0x1p+1020", "-0x1p-60"),
+        ("float64", "0x1p+1020", "0x1.3c0ca428c59fbp-20"),
+    ],
+)
+@pytest.mark.parametrize("s", [(1.0, 0.0), (1.0, 1.0), (1.0, 1.0, 0.0, 1.0)])
+def test_a_huge_y_along_the_row_leaves_z_alone(s, scalar, y, z):
+    """z vanished in the unit of y: tau was 0, or had lost digits, and the residual told was 0."""
+    S, z = np.array([s], scalar), np.array([float.fromhex(z)], scalar)
+    tau, info = twin(*S.shape, scalar).solve(S, z, float.fromhex(y) * S[0])
+    assert np.abs(tau - z[0] * S[0] / S[0].sum()).max() <= EPSILON[scalar] * abs(z[0])
+    assert info.residual <= 3 * EPSILON[scalar] * abs(z[0])
+
+
 @pytest.mark.parametrize("scalar", SCALARS)
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (6, 6), (3, 1), (3, 2), (7, 3)])
 @pytest.mark.parametrize("smallest", [1.0, 1e-3, 0.0])

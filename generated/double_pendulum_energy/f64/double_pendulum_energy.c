@@ -492,7 +492,7 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
     double residual = 0.0;
     double rest, target, scale;
     double t_0, t_1;
-    int refine;
+    int refine, apart;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_ENERGY_OK;
     int own, j;
@@ -511,6 +511,11 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
         unit = 0;
     }
     target = double_pendulum_energy_shift(z[0], -unit - row.unit);
+    /* too small for the unit of y: what is z's is added in its own */
+    apart = row.rank && own != -16384 && double_pendulum_energy_biased(target) < 60;
+    if (apart) {
+        target = 0.0;
+    }
     rest = target;
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_energy_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_shift(y[1], -unit);
@@ -532,11 +537,17 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
             const double more = double_pendulum_energy_refine_row(&row, target, unit, answer);
             if (double_pendulum_energy_magnitude(double_pendulum_energy_shift(4.0 * more, unit)) > double_pendulum_energy_largest(answer, 2)) {
                 /* rounding errors twice over: nothing of y is left */
-                scale = double_pendulum_energy_shift(z[0], -own) / row.square;
                 for (j = 0; j < 2; ++j) {
-                    answer[j] = double_pendulum_energy_shift(row.s[j] * scale, own - row.unit);
+                    answer[j] = 0.0;
                 }
+                apart = own != -16384;
             }
+        }
+    }
+    if (apart) {
+        scale = double_pendulum_energy_over_square(&row, double_pendulum_energy_shift(z[0], -own));
+        for (j = 0; j < 2; ++j) {
+            answer[j] += double_pendulum_energy_shift(row.s[j] * scale, own - row.unit);
         }
     }
     if (double_pendulum_energy_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {

@@ -484,7 +484,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     float residual = 0.0f;
     float rest, target, scale;
     float t_0, t_1;
-    int refine;
+    int refine, apart;
     int unit = -16384;
     int status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
     int own, j;
@@ -503,6 +503,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
         unit = 0;
     }
     target = double_pendulum_energy_free_y_f32_shift(z[0], -unit - row.unit);
+    /* too small for the unit of y: what is z's is added in its own */
+    apart = row.rank && own != -16384 && double_pendulum_energy_free_y_f32_biased(target) < 31;
+    if (apart) {
+        target = 0.0f;
+    }
     rest = target;
     if (y != NULL) {
         rest -= row.s[0] * double_pendulum_energy_free_y_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_f32_shift(y[1], -unit);
@@ -524,11 +529,17 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
             const float more = double_pendulum_energy_free_y_f32_refine_row(&row, target, unit, answer);
             if (double_pendulum_energy_free_y_f32_magnitude(double_pendulum_energy_free_y_f32_shift(4.0f * more, unit)) > double_pendulum_energy_free_y_f32_largest(answer, 2)) {
                 /* rounding errors twice over: nothing of y is left */
-                scale = double_pendulum_energy_free_y_f32_shift(z[0], -own) / row.square;
                 for (j = 0; j < 2; ++j) {
-                    answer[j] = double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, own - row.unit);
+                    answer[j] = 0.0f;
                 }
+                apart = own != -16384;
             }
+        }
+    }
+    if (apart) {
+        scale = double_pendulum_energy_free_y_f32_over_square(&row, double_pendulum_energy_free_y_f32_shift(z[0], -own));
+        for (j = 0; j < 2; ++j) {
+            answer[j] += double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, own - row.unit);
         }
     }
     if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {

@@ -339,7 +339,7 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
     float residual = 0.0f;
     float rest, target, scale;
     float t_0, t_1, t_2;
-    int refine;
+    int refine, apart;
     int unit = -16384;
     int status = SPACECRAFT_F32_OK;
     int own, j;
@@ -358,6 +358,11 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
         unit = 0;
     }
     target = spacecraft_f32_shift(z[0], -unit - row.unit);
+    /* too small for the unit of y: what is z's is added in its own */
+    apart = row.rank && own != -16384 && spacecraft_f32_biased(target) < 31;
+    if (apart) {
+        target = 0.0f;
+    }
     rest = target;
     if (y != NULL) {
         rest -= row.s[0] * spacecraft_f32_shift(y[0], -unit) + row.s[1] * spacecraft_f32_shift(y[1], -unit) + row.s[2] * spacecraft_f32_shift(y[2], -unit);
@@ -380,11 +385,17 @@ static SPACECRAFT_F32_COLD int spacecraft_f32_solve_scaled(const float *S, const
             const float more = spacecraft_f32_refine_row(&row, target, unit, answer);
             if (spacecraft_f32_magnitude(spacecraft_f32_shift(4.0f * more, unit)) > spacecraft_f32_largest(answer, 3)) {
                 /* rounding errors twice over: nothing of y is left */
-                scale = spacecraft_f32_shift(z[0], -own) / row.square;
                 for (j = 0; j < 3; ++j) {
-                    answer[j] = spacecraft_f32_shift(row.s[j] * scale, own - row.unit);
+                    answer[j] = 0.0f;
                 }
+                apart = own != -16384;
             }
+        }
+    }
+    if (apart) {
+        scale = spacecraft_f32_over_square(&row, spacecraft_f32_shift(z[0], -own));
+        for (j = 0; j < 3; ++j) {
+            answer[j] += spacecraft_f32_shift(row.s[j] * scale, own - row.unit);
         }
     }
     if (spacecraft_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {

@@ -2,7 +2,8 @@
 
     python -m servogen.bench.solver.row [--columns 2,3,4] [--rounds 300]
 
-Both at -O2 and without contraction; a pragma writes the bare formula's loops out.
+Both at -O2 and without contraction; a pragma writes the bare formula's loops out. With a y the bar is held against the
+bare formula refined where y cancels, as ours is; against the plain one, whose errors then grow with y, for information.
 """
 
 import argparse
@@ -18,11 +19,12 @@ HERE = Path(__file__).parent
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L")
 REAL = {"float64": "double", "float32": "float"}
 BAR = 1.5  # times the bare formula, checks included
-KINDS = ("without y", "mild y", "random y", "random y and bare refined")
+PLAIN, REFINED = ("mild y", "random y"), ("mild y, bare refined", "random y, bare refined")
+KINDS = ("without y", *PLAIN, *REFINED)
 
 
 def measure(l: int, scalar: Scalar, rounds: int, folder: Path) -> list[float]:
-    """Ours over bare: without y, with a y that needs no refinement, with a random one; and this over bare refined."""
+    """Ours over bare, in the order of KINDS; mild: a y that needs no refinement."""
     package = sg.build_solver(1, l, folder, scalar=scalar, prefix="ours")
     defines = [f"-DREAL={REAL[scalar]}", f"-DCOLUMNS={l}", f'-DOURS_HEADER="{package.path}/ours.h"']
     sources = [str(source) for source in (package.path / "ours.c", HERE / "bare_row.c", HERE / "row.c")]
@@ -45,7 +47,9 @@ def main() -> None:
                 ratios = measure(l, scalar, chosen.rounds, Path(folder))
             named = [f"{kind} {ratio:.2f}" for kind, ratio in zip(KINDS, ratios, strict=True)]
             print(f"1x{l} {scalar}:", ", ".join(named), flush=True)
-            short += [f"1x{l} {scalar} {what}" for what, ratio in zip(named, ratios, strict=True) if ratio > BAR]
+            held = [kind not in PLAIN for kind in KINDS]
+            each = zip(named, ratios, held, strict=True)
+            short += [f"1x{l} {scalar} {what}" for what, ratio, counts in each if counts and ratio > BAR]
     print(f"above {BAR}: " + "; ".join(short) if short else f"all within {BAR}")
     sys.exit(bool(short))
 
