@@ -14,6 +14,7 @@ from servogen.bench.results import LABELS, Bench, Measurement, Output
 OURS, THEIRS, PARETO = "#b3261e", "#3b5b7a", "#8a8a8a"
 _DASHES = {"float64": "o", "float32": "s"}
 _LABEL_HEIGHT = 0.052  # of a panel's height, between neighbouring labels
+_LABEL_GAP, _LETTER = 0.045, 0.0135  # of a panel's width: from a marker to its label, and a letter of one
 
 
 def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
@@ -111,14 +112,24 @@ def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float
     spots = [tuple(to_panel.transform(p)) for p in placed]
     heights = _spread(spots)
     for m, (x, y), height in zip(rows, spots, heights, strict=True):
-        left = x > 0.62
-        colour = OURS if m.ours else THEIRS
+        text, colour = _label(m), OURS if m.ours else THEIRS
+        spot, side = _beside((x, height), _LETTER * len(text))
         axes.annotate(
-            _label(m), (x, y), xycoords="axes fraction", xytext=(x + (-0.045 if left else 0.045), height),
-            textcoords="axes fraction", ha="right" if left else "left", va="center", fontsize=8.5, color=colour,
+            text, (x, y), xycoords="axes fraction", xytext=spot, textcoords="axes fraction", ha=side, va="center",
+            fontsize=8.5, color=colour,
             weight="bold" if m.ours else "normal",
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1, "shrinkB": 4},
         )  # fmt: skip
+
+
+def _beside(spot: tuple[float, float], width: float) -> tuple[tuple[float, float], str]:
+    """Where a label of that width goes, and its side that is there: right of the spot, left, or above it."""
+    x, y = spot
+    if x + _LABEL_GAP + width <= 1:
+        return (x + _LABEL_GAP, y), "left"
+    if x - _LABEL_GAP - width >= 0:
+        return (x - _LABEL_GAP, y), "right"
+    return (min(max(x, width / 2), 1 - width / 2), y + _LABEL_HEIGHT), "center"
 
 
 def _label(m: Measurement) -> str:
@@ -129,7 +140,7 @@ def _label(m: Measurement) -> str:
 def _ulps(ulps: float) -> str:
     if ulps < 0.05:
         return "next to no error"
-    return f"{ulps:.1f} ulp" if ulps < 1e6 else f"{ulps:.0e} ulp"
+    return f"{ulps:.{1 if ulps < 100 else 0}f} ulp" if ulps < 1e6 else f"{ulps:.0e} ulp"
 
 
 def _time(nanoseconds: float) -> str:

@@ -141,7 +141,7 @@ class Bench:
     """One scene's measurements, all in one run on the same states.
 
     states: number of states; batch: calls a timed batch of C makes, each at another state. baseline: of the ratios.
-    remarks: what was skipped, and what to do about it.
+    remarks: what was skipped and what to do about it; what the figures need to be read.
     """
 
     scene: str

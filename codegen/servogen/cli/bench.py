@@ -174,7 +174,7 @@ def _show(result: Bench, paths: tuple[Path, ...]) -> None:
     for path in paths:
         out.print(f"  wrote    {path}", markup=False, soft_wrap=True)
     for remark in result.remarks:
-        err.print(f"[yellow]skipped:[/] {remark}", soft_wrap=True)
+        err.print(f"[yellow]note:[/] {remark}", soft_wrap=True)
 
 
 def _row(m: Measurement) -> tuple[object, ...]:
