@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen.scene.domain import draw_states
-from support.campaign import crossed
 from support.models import random_scene
 from support.twins import as_derived
 
@@ -43,14 +42,10 @@ def numeric(scene: sg.Scene, expression: Any, state: dict[str, Any]) -> np.ndarr
     return np.array(ca.Function("value", [f.symbol for f in fields], [ca.densify(expression)])(*values))
 
 
-WEIGHTS: dict[str, Any] = {"numbers": NUMBERS, "parameters": of_parameters, "state": of_state}
-FREE: dict[str, Any] = {"no y": None, "y of u": of_velocity, "y input": "input"}
-
-
-@pytest.mark.parametrize(("weight", "free_part"), crossed(list(WEIGHTS), list(FREE)))
-def test_the_answer_is_the_weighted_minimum(weight: str, free_part: str) -> None:
-    y = FREE[free_part]
-    scene = weighted(3, WEIGHTS[weight], y=y)
+@pytest.mark.parametrize("weight", [NUMBERS, of_parameters, of_state], ids=["numbers", "parameters", "state"])
+@pytest.mark.parametrize("y", [None, of_velocity, "input"], ids=["no y", "y of u", "y input"])
+def test_the_answer_is_the_weighted_minimum(weight: Any, y: Any) -> None:
+    scene = weighted(3, weight, y=y)
     code, textbook = as_derived(scene), sg.reference(scene)
     states = draw_states(scene, 20)
     for k in range(20):

@@ -1,6 +1,7 @@
 """Own sine, cosine and square root: the constants derived again, the claimed error at the worst arguments known, the
 same bits from every compiler and level. SERVOGEN_CAMPAIGN=1 walks every float32."""
 
+import os
 import subprocess
 from fractions import Fraction
 
@@ -11,11 +12,11 @@ import servogen as sg
 from servogen.loading import load_scene
 from servogen.render import mathematics, minimax
 from support.c import STRICT, compiler
-from support.campaign import CAMPAIGN
 from support.mathematics import Compiled, write
 
 SCALARS = mathematics.SCALARS
 UINT = {"float64": np.uint64, "float32": np.uint32}
+CAMPAIGN = os.environ.get("SERVOGEN_CAMPAIGN") == "1"
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
 PER_RANGE = 100_000 if CAMPAIGN else 1000
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import servogen as sg
 from scipy.integrate import solve_ivp
-from support.campaign import CAMPAIGN
 from support.particles import Particles
 from support.robots import A1, IIWA, IIWA_TOOL, ODD, draw_state
 
@@ -38,7 +37,7 @@ def test_mass_matrix_and_bias_forces(case: Any) -> None:
     robot, particles, _ = case
     model = ca.Function("model", [robot.q, robot.u], [robot.mechanism.Q, robot.mechanism.P, robot.center_of_mass()])
     generator = np.random.default_rng(1)
-    for _ in range(2 if CAMPAIGN else 1):
+    for _ in range(2):
         q, u, base = draw_state(robot, generator)
         joints = q[-len(robot.joints) :]
         Q, P, centre = (np.array(x) for x in model(q, u))
