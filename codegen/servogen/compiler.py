@@ -51,7 +51,7 @@ def compile_scene(scene: Scene, target: Target, without: frozenset[str] = frozen
     return plan(formulation, program, target)
 
 
-@lru_cache(maxsize=128)  # more than the built-in scenes and those of the tests, a few hundred kB each
+@lru_cache(maxsize=128)  # all built-in scenes, and a test run's own beside them
 def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
     formulation = derive(scene)

@@ -45,7 +45,7 @@ class Peers:
         if hasattr(self.module, "scene_of"):
             found += self._if_present(lambda: self._with_adam(inputs, capacity))
             rival = self._adam or scene
-            if load(self.module.ROBOT_FILE, quiet=True).notes:
+            if self._adam is not None and load(self.module.ROBOT_FILE, quiet=True).notes:
                 self.remarks.append(AS_WRITTEN)
         for name, cse, ldlt in ((NAIVE, False, False), (BASELINE, True, False), (f"{BASELINE}, LDL^T", True, True)):
             if not ldlt or scene.kind == "servo":
