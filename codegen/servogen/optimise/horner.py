@@ -107,10 +107,10 @@ class _Search:
                         best = price, polynomial, style
                 cones.truncate(count)
                 out.rollback(count)
-        cones.hold(target)
         if best is None:
+            cones.hold(target)
             return None
-        root = _Builder(out, self.early, reusable, best[2]).build(best[1])
+        root = _Builder(out, self.early, reusable, best[2]).build(best[1])  # while the target's own nodes are not live
         assert root is not None
         out.replace(target, root)
         return out.finish()

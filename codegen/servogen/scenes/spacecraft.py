@@ -26,7 +26,7 @@ def stabilisation(name: str, smooth: bool, Theta: float = 0.0) -> sg.Scene:
     )
     inertia = ca.vertcat(I_1, I_2, I_3)
     K = ca.dot(inertia, omega**2) / 2
-    K_dot = ca.dot(inertia * omega, P + tau)
+    K_dot = ca.jtimes(K, omega, P + tau)
     return sg.Scene(
         name,
         sg.Mechanism(q=angle, u=omega, tau=tau, Q=ca.DM.eye(3), P=P, G=ca.DM.eye(3)),
