@@ -14,7 +14,7 @@ from servogen.plan.solver import SolverPlan
 from servogen.scalars import Scalar
 from servogen.scene.system import System
 
-SMALL = 64
+SMALL = 60
 """Operations up to which a kernel is inlined wherever it is called."""
 
 

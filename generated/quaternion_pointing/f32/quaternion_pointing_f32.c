@@ -1361,7 +1361,7 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const q
 }
 
 
-static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
+static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
 {
     const float t0 = in->q[1] * in->q[3];
     const float t1 = in->q[0] * in->q[2];

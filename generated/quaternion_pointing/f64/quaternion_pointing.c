@@ -1361,7 +1361,7 @@ static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_z(const quaternio
 }
 
 
-static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S, double *z)
+static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S, double *z)
 {
     const double t0 = in->q[1] * in->q[3];
     const double t1 = in->q[0] * in->q[2];

@@ -1333,7 +1333,7 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path
 }
 
 
-static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
+static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;

@@ -1367,7 +1367,7 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *
 }
 
 
-static UNICYCLE_PATH_SMALL void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
+static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
