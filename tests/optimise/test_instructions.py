@@ -1,4 +1,7 @@
-"""Machine instructions of the generated S z and A B beside CasADi's own C after `cse`, counted by callgrind at -O2."""
+"""Machine instructions of the generated S z and A B beside CasADi's own C after `cse`, counted by callgrind.
+
+Like with like: the kernels alone, as CasADi's code looks at no result; `servogen bench` counts the checks too.
+"""
 
 from pathlib import Path
 
@@ -10,20 +13,26 @@ from servogen.bench.instructions import _self_cost
 from servogen.loading import load_scene
 from support.c import compiler, run
 
-BARS = {"double_pendulum_energy": (3.5, 2.0), "spacecraft": (2.2, 2.2)}
-"""How many times fewer outside the maths library, and in all."""
+BARS = {
+    ("double_pendulum_energy", "gcc"): (3.5, 2.0),
+    ("double_pendulum_energy", "clang"): (3.5, 2.0),
+    ("spacecraft", "gcc"): (2.5, 2.5),
+    ("spacecraft", "clang"): (3.0, 3.0),
+}
+"""How many times fewer outside the maths library, and in all. Of the spacecraft 3 is asked; gcc packs no lanes."""
 
 
-@pytest.mark.parametrize("name", BARS)
-def test_fewer_instructions_than_casadi(name: str, tmp_path: Path) -> None:
-    ours, theirs = measured(name, tmp_path)
-    outside, total = BARS[name]
-    print(f"{name}: servogen {ours}, CasADi cse {theirs} (in all, outside libm)")
+@pytest.mark.parametrize("optimisation", ["-O2", "-O3"])
+@pytest.mark.parametrize(("name", "cc"), BARS)
+def test_fewer_instructions_than_casadi(name: str, cc: str, optimisation: str, tmp_path: Path) -> None:
+    ours, theirs = measured(name, cc, optimisation, tmp_path)
+    outside, total = BARS[name, cc]
+    print(f"{name}, {cc} {optimisation}: servogen {ours}, CasADi cse {theirs} (in all, outside libm)")
     assert theirs[1] >= outside * ours[1]
     assert theirs[0] >= total * ours[0]
 
 
-def measured(name: str, folder: Path) -> tuple[tuple[float, float], tuple[float, float]]:
+def measured(name: str, cc: str, optimisation: str, folder: Path) -> tuple[tuple[float, float], tuple[float, float]]:
     """(in all, outside libm) instructions of one call, of the generated kernel and of CasADi's function."""
     scene = load_scene(name)
     package = sg.build(scene, folder, math="libm")  # both call the same sin and cos
@@ -39,14 +48,20 @@ def measured(name: str, folder: Path) -> tuple[tuple[float, float], tuple[float,
     rows, columns = scene.rows, scene.controls
     arguments = ", ".join(f"x[{k}]" for k in range(len(scene.input_fields())))
     parameters = [v for f in scene.parameters or () for v in f.default]
-    main = f"""
+    (folder / "ours.c").write_text(
+        f"""
 #include "{package.prefix}.c"
-int theirs(const double **arg, double **res, long long int *iw, double *w, int mem);
-__attribute__((noipa)) void ours(const {package.prefix}_model *, const {package.prefix}_input *, double *, double *);
+void ours(const {package.prefix}_model *model, const {package.prefix}_input *in, double *a, double *b);
 void ours(const {package.prefix}_model *model, const {package.prefix}_input *in, double *a, double *b)
 {{
     {kernel}(model, in, a, b);
 }}
+"""
+    )
+    main = f"""
+#include "{package.prefix}.h"
+void ours(const {package.prefix}_model *model, const {package.prefix}_input *in, double *a, double *b);
+int theirs(const double **arg, double **res, long long int *iw, double *w, int mem);
 int main(void)
 {{
     {package.prefix}_model model;
@@ -65,8 +80,9 @@ int main(void)
 }}
 """
     (folder / "main.c").write_text(main)
-    flags = ["-std=c99", "-O2", "-w", f"-I{folder}"]
-    run([compiler("gcc"), *flags, folder / "main.c", folder / "theirs.c", "-lm", "-o", folder / "main"])
+    flags = ["-std=c99", optimisation, "-w", f"-I{folder}"]
+    sources = [folder / name for name in ("main.c", "ours.c", "theirs.c")]
+    run([compiler(cc), *flags, *sources, "-lm", "-o", folder / "main"])
     costs = []
     for symbol in ("ours", "theirs"):
         profile = folder / f"{symbol}.out"
