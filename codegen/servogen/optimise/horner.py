@@ -27,15 +27,8 @@ _SMALL = 300  # instructions at tick of the largest program that is expanded dow
 _RING = ("add", "sub", "mul", "div", "neg")
 
 
-@dataclass(frozen=True)
-class _Style:
-    """How ties are broken, and whether nodes that are live anyway may stand for a part."""
-
-    order: int
-    reuse: bool
-
-
-_STYLES = tuple(_Style(order, reuse) for reuse in (True, False) for order in range(4))
+_ORDERS = range(4)
+"""How ties are broken between factors."""
 
 
 def horner(program: Program, objective: Objective) -> Program:
@@ -90,29 +83,43 @@ class _Search:
             return k
 
         count = len(out.instrs)
-        best: tuple[int, Polynomial, _Style] | None = None
+        best: tuple[int, Polynomial, bool, int] | None = None
         seen: list[Polynomial] = []
         for form in self.forms:
             polynomial = form[target]
             if polynomial in seen:
                 continue
             seen.append(polynomial)
-            for style in _STYLES:
-                root = _Builder(out, self.early, reusable, style).build(polynomial)
-                if root is not None and root != target:
-                    cones.extend(out, share)
-                    price = cones.use(root)
-                    cones.drop(root)
-                    if price < freed - OPERATION // 10 and (best is None or price < best[0]):
-                        best = price, polynomial, style
+            for reuse in (True, False):  # whether nodes that are live anyway may stand for a part
+                builder = _Builder(out, self.early, reusable if reuse else None)
+                terms = builder.terms(polynomial)
+                if terms is None:
+                    break
+                start = len(out.instrs)
+                for order in _ORDERS:
+                    root = builder.emit(terms, order)
+                    if root != target:
+                        cones.extend(out, share)
+                        price = cones.use(root)
+                        cones.drop(root)
+                        if price < freed - OPERATION // 10 and (best is None or price < best[0]):
+                            best = price, polynomial, reuse, order
+                    cones.truncate(start)
+                    out.rollback(start)
+                    if not builder.tied:
+                        break  # the other orders give the same
                 cones.truncate(count)
                 out.rollback(count)
+                if not builder.reused:
+                    break
         if best is None:
             cones.hold(target)
             return None
-        root = _Builder(out, self.early, reusable, best[2]).build(best[1])  # while the target's own nodes are not live
-        assert root is not None
-        out.replace(target, root)
+        _, polynomial, reuse, order = best
+        builder = _Builder(out, self.early, reusable if reuse else None)  # while the target's own nodes are not live
+        terms = builder.terms(polynomial)
+        assert terms is not None
+        out.replace(target, builder.emit(terms, order))
         return out.finish()
 
 
@@ -147,23 +154,18 @@ class _Term:
 
 
 class _Builder:
-    """Appends one form of a polynomial to a program."""
+    """Appends forms of a polynomial to a program. tied: an order had a choice; reused: `reusable` gave a node."""
 
-    def __init__(
-        self, out: Rewriter, early: list[bool], reusable: Callable[[Residue], int | None], style: _Style
-    ) -> None:
-        self.out, self.early, self.style = out, early, style
-        self.reusable = reusable if style.reuse else None
+    def __init__(self, out: Rewriter, early: list[bool], reusable: Callable[[Residue], int | None] | None) -> None:
+        self.out, self.early, self.reusable = out, early, reusable
         self.coefficients: dict[Residue, int] = {}
-
-    def build(self, polynomial: Polynomial) -> int | None:
-        """The node of the polynomial; None where it has too many terms."""
-        terms = self._terms(polynomial)
-        return None if terms is None else self.out.signed(self._emit(terms))
+        self.order = 0
+        self.tied = self.reused = False
 
     # ---- terms ----
 
-    def _terms(self, polynomial: Polynomial) -> list[_Term] | None:
+    def terms(self, polynomial: Polynomial) -> list[_Term] | None:
+        """The polynomial's terms at tick; None where there are too many."""
         grouped: dict[Monomial, Polynomial] = {}
         for monomial, c in polynomial.items():
             late = tuple((a, e) for a, e in monomial if not self._is_early(a))
@@ -201,6 +203,11 @@ class _Builder:
 
     # ---- emission ----
 
+    def emit(self, terms: list[_Term], order: int) -> int:
+        """The node of the terms' sum."""
+        self.order = order
+        return self.out.signed(self._emit(terms))
+
     def _emit(self, terms: list[_Term]) -> Signed:
         if not terms:
             return self.out.constant(Fraction(0)), False
@@ -224,7 +231,10 @@ class _Builder:
         value = self._value(terms)
         key, flipped = unsigned(value)
         node = self.reusable(key)
-        return None if node is None else (node, flipped != unsigned(self.out.values[node])[1])
+        if node is None:
+            return None
+        self.reused = True
+        return node, flipped != unsigned(self.out.values[node])[1]
 
     def _value(self, terms: list[_Term]) -> Residue:
         of, values = self.out.fingerprints.of, self.out.values
@@ -248,11 +258,12 @@ class _Builder:
         if often < 2:
             return None
         best = [f for f in counts if counts[f] == often]
+        self.tied |= len(best) > 1
         atoms = [f for f in best if f[0] == "atom"]
-        candidates = sorted(atoms if atoms and self.style.order < 3 else best)
-        if self.style.order == 1:
+        candidates = sorted(atoms if atoms and self.order < 3 else best)
+        if self.order == 1:
             return candidates[-1]
-        if self.style.order == 2:  # what leaves the shortest monomials outside
+        if self.order == 2:  # what leaves the shortest monomials outside
             weights = {f: sum(len(t.monomial) for t in terms if f in _factors(t)) for f in candidates}
             return max(candidates, key=lambda f: weights[f])
         return candidates[0]
@@ -272,7 +283,7 @@ class _Builder:
         return total
 
     def _product(self, term: _Term) -> Signed:
-        if self.style.reuse and (known := self._known([term])) is not None:
+        if (known := self._known([term])) is not None:
             return known
         factors = _factors(term, repeat=True)
         divisors = [-k - 1 for kind, k in factors if kind == "atom" and k < 0]
