@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 from servogen.ir.ops import OPS
 
 Leaf = tuple[str, int]  # an input's name and the entry's index
 
 
-@dataclass(frozen=True)
-class Instr:
+class Instr(NamedTuple):  # the optimiser makes and compares millions of them, tuples faster than dataclasses
     """One instruction: `args` are the numbers of earlier ones; `const` the value of "const", the leaf of "input"."""
 
     op: str
