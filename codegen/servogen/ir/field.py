@@ -1,6 +1,7 @@
 """A prime field to evaluate programs in: equal values at random points mean equal expressions (Schwartz, Zippel)."""
 
 import hashlib
+from functools import lru_cache
 
 PRIME = 2**127 - 1
 """-1 is no square modulo this prime, so the circle x^2 + y^2 = 1 has no point at infinity."""
@@ -19,6 +20,7 @@ def inverse(a: int) -> int:
     return pow(a, -1, PRIME)
 
 
+@lru_cache(maxsize=1 << 14)  # every program asks for the same inputs and constants
 def random_residue(*label: object) -> Residue:
     """A value that looks random and depends on the label alone: the same on every machine and in every run."""
     digest = hashlib.blake2b(repr(label).encode(), digest_size=24 * POINTS).digest()
@@ -31,10 +33,11 @@ def negative(value: Residue) -> Residue:
 
 def unsigned(value: Residue) -> tuple[Residue, bool]:
     """One of value and -value, the same for both, and whether it is the other sign."""
-    other = negative(value)
-    return (other, True) if other < value else (value, False)
+    first = next(filter(None, value), 0)
+    return (negative(value), True) if first > PRIME // 2 else (value, False)
 
 
+@lru_cache(maxsize=1 << 14)
 def rational(numerator: int, denominator: int) -> Residue | None:
     """A rational number's value, the same at all points; None where the prime divides the denominator."""
     if denominator % PRIME == 0:
@@ -44,7 +47,7 @@ def rational(numerator: int, denominator: int) -> Residue | None:
 
 def as_rational(value: Residue, limit: int = 2**32) -> tuple[int, int] | None:
     """The one fraction with numerator and denominator up to `limit` that has this value, or None."""
-    if any(v != value[0] for v in value):
+    if value.count(value[0]) != POINTS:
         return None
     a, b, x, y = PRIME, value[0], 0, 1
     while b > limit:

@@ -188,6 +188,7 @@ def _truncate(x: Any) -> Any:
 
 
 OPS: dict[str, Op] = {row.name: row for row in _ROWS}
+COMMUTATIVE = frozenset(row.name for row in _ROWS if row.commutative)
 BY_CASADI_ID: dict[int, Op] = {row.casadi_id: row for row in _ROWS}
 
 # CasADi's abbreviations and structural instructions, which lowering expresses by the rows above.

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 from servogen.ir.field import POINTS, PRIME, Residue, as_rational, inverse, negative, random_residue, rational, unsigned
-from servogen.ir.ops import OPS
+from servogen.ir.ops import COMMUTATIVE, OPS
 from servogen.ir.program import Instr, Leaf, Program
 
 ANGLE_FUNCTIONS = ("sin", "cos", "tan")
@@ -61,14 +61,14 @@ class Fingerprints:
 
     def of(self, op: str, *operands: Residue) -> Residue:
         """The fingerprint of an operation on operands with these fingerprints."""
-        if OPS[op].commutative:
-            operands = tuple(sorted(operands))
+        if op in COMMUTATIVE and operands[1] < operands[0]:
+            operands = operands[::-1]
         key = (op, operands)
-        if key not in self._memo:
-            value = self._compute(op, operands)
-            self._memo[key] = value
+        value = self._memo.get(key)
+        if value is None:
+            value = self._memo[key] = self._compute(op, operands)
             self._note_degree(op, operands, value)
-        return self._memo[key]
+        return value
 
     def _compute(self, op: str, operands: tuple[Residue, ...]) -> Residue:
         row = OPS[op]
@@ -77,7 +77,7 @@ class Fingerprints:
         if row.field is None:
             return _opaque(op, operands)
         try:
-            value = tuple(row.field(*(operand[k] for operand in operands)) for k in range(POINTS))
+            value = tuple(map(row.field, *operands))
         except ZeroDivisionError:
             return _opaque(op, operands)
         self._made.setdefault(value, (op, operands))
@@ -198,7 +198,7 @@ def _opaque(op: str, operands: tuple[Residue, ...]) -> Residue:
 
 
 def _small_constant(value: Residue) -> Fraction | None:
-    if any(v != value[0] for v in value):
+    if value.count(value[0]) != POINTS:
         return None
     found = as_rational(value, 2**60)
     return None if found is None else Fraction(*found)

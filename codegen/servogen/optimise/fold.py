@@ -9,7 +9,7 @@ from servogen.ir.numbers import as_fraction
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Output, Program
 
-ZERO, ONE = Fraction(0), Fraction(1)
+ZERO, ONE = Fraction(0), Fraction(1)  # constants are compared with 0 and 1, which is faster
 _LARGEST_UNROLLED_POWER = 16
 
 
@@ -47,7 +47,7 @@ class _Folder:
 
     def _constant(self, k: int) -> Fraction | None:
         const = self.instrs[k].const
-        return const if isinstance(const, Fraction) else None
+        return const if type(const) is Fraction else None
 
     def _number(self, value: Fraction) -> int:
         return self._append("const", (), value)
@@ -65,9 +65,9 @@ class _Folder:
 
     def _simplify_add(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
         a, b = args
-        if constants[0] == ZERO:
+        if constants[0] == 0:
             return b
-        if constants[1] == ZERO:
+        if constants[1] == 0:
             return a
         if (flipped := self._negated(b)) is not None:
             return self.add("sub", (a, flipped))
@@ -82,9 +82,9 @@ class _Folder:
         a, b = args
         if a == b:
             return self._number(ZERO)
-        if constants[1] == ZERO:
+        if constants[1] == 0:
             return a
-        if constants[0] == ZERO:
+        if constants[0] == 0:
             return self.add("neg", (b,))
         if (flipped := self._negated(b)) is not None:
             return self.add("add", (a, flipped))
@@ -107,20 +107,20 @@ class _Folder:
 
     def _simplify_mul(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
         for c, other in ((constants[0], args[1]), (constants[1], args[0])):
-            if c == ZERO:
+            if c == 0:
                 return self._number(ZERO)
-            if c == ONE:
+            if c == 1:
                 return other
             if c is not None and c < 0:
                 return self.add("neg", (self.add("mul", (self._number(-c), other)),))
         return self._move_sign_out("mul", args)
 
     def _simplify_div(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
-        if constants[1] == ZERO:
+        if constants[1] == 0:
             return None  # no value, and none may be made up
-        if constants[0] == ZERO:
+        if constants[0] == 0:
             return self._number(ZERO)
-        if constants[1] == ONE:
+        if constants[1] == 1:
             return args[0]
         for k, c in enumerate(constants):
             if c is not None and c < 0:
@@ -180,7 +180,7 @@ class _Folder:
     def _simplify_if_else_zero(self, args: tuple[int, ...], constants: list[Fraction | None]) -> int | None:
         if constants[0] is not None:
             return args[1] if constants[0] else self._number(ZERO)
-        return self._number(ZERO) if constants[1] == ZERO else None
+        return self._number(ZERO) if constants[1] == 0 else None
 
 
 def _is_power_of_two(value: Fraction) -> bool:

@@ -1,6 +1,6 @@
 """Common subexpressions: equal operations on equal operands are one; operands of commutative ones may swap."""
 
-from servogen.ir.ops import OPS
+from servogen.ir.ops import COMMUTATIVE
 from servogen.ir.program import Instr, Output, Program
 
 
@@ -10,8 +10,8 @@ def merge(program: Program) -> Program:
     known: dict[Instr, int] = {}
     for instr in program.instrs:
         args = tuple(number[a] for a in instr.args)
-        if instr.op in OPS and OPS[instr.op].commutative:
-            args = tuple(sorted(args))
+        if instr.op in COMMUTATIVE and args[1] < args[0]:
+            args = args[::-1]
         number.append(known.setdefault(Instr(instr.op, args, instr.const), len(known)))
     outputs = tuple(Output(o.name, o.rows, o.columns, tuple(number[n] for n in o.nodes)) for o in program.outputs)
     return Program(program.name, program.inputs, tuple(known), outputs)

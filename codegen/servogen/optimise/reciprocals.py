@@ -17,7 +17,7 @@ def share_reciprocals(program: Program) -> Program:
     out = Rewriter(program, Fingerprints(program))
     for k in late:
         above, below = program.instrs[k].args
-        if program.instrs[above].const == Fraction(1):
+        if program.instrs[above].const == 1:
             continue
         if counts[below] > 1 or early[below] or is_constant(program, below):
             reciprocal = out.add("div", out.constant(Fraction(1)), below)

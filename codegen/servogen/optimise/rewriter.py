@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 from servogen.ir.field import Residue
-from servogen.ir.ops import OPS
+from servogen.ir.ops import COMMUTATIVE, OPS
 from servogen.ir.program import Instr, Output, Program
 from servogen.optimise.fingerprint import Fingerprints
 
@@ -64,7 +64,7 @@ class Rewriter:
 
     def _number(self, k: int) -> Fraction | None:
         const = self.instrs[k].const
-        return const if isinstance(const, Fraction) else None
+        return const if type(const) is Fraction else None
 
     def _simplified(self, op: str, args: tuple[int, ...]) -> int | None:
         if op == "neg":
@@ -88,11 +88,11 @@ class Rewriter:
 
     def _append(self, instr: Instr) -> int:
         instr = _in_order(instr)
-        if instr not in self._known:
-            self._known[instr] = len(self.instrs)
+        known = self._known.setdefault(instr, len(self.instrs))
+        if known == len(self.instrs):
             self.instrs.append(instr)
             self.values.append(self.fingerprints.of_instr(instr, [self.values[a] for a in instr.args]))
-        return self._known[instr]
+        return known
 
     def _final(self, k: int) -> int:
         seen = 0
@@ -131,6 +131,6 @@ class Rewriter:
 
 
 def _in_order(instr: Instr) -> Instr:
-    if instr.op in OPS and OPS[instr.op].commutative:
-        return Instr(instr.op, tuple(sorted(instr.args)), instr.const)
+    if instr.op in COMMUTATIVE and instr.args[1] < instr.args[0]:
+        return Instr(instr.op, instr.args[::-1])
     return instr
