@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, cast
 
 from servogen.ir.ops import OPS
 
 Leaf = tuple[str, int]  # an input's name and the entry's index
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Instr(NamedTuple):  # the optimiser makes and compares millions of them, tuples faster than dataclasses
@@ -140,10 +143,30 @@ def _place(program: Program, k: int) -> str:
     return f"program {program.name}, instruction {k}: {program.instrs[k].op}"
 
 
+def asked_once(function: Function) -> Function:
+    """The function, its answers kept with the program: passes ask the same of one program again and again."""
+
+    @wraps(function)
+    def kept(program: Program, *more: Hashable) -> Any:
+        answers = vars(program).setdefault("answers", {})
+        key = (function.__name__, *more)
+        if key not in answers:
+            answers[key] = function(program, *more)
+        return answers[key]
+
+    return cast(Function, kept)
+
+
+@asked_once
+def needed(program: Program) -> frozenset[int]:
+    """The numbers of all instructions that some output depends on."""
+    return frozenset(live(program, (n for o in program.outputs for n in o.nodes)))
+
+
 def live(program: Program, roots: Iterable[int]) -> set[int]:
     """The numbers of all instructions that the roots depend on, themselves included."""
     needed = set(roots)
-    for k in range(len(program.instrs) - 1, -1, -1):
+    for k in range(max(needed, default=-1), -1, -1):
         if k in needed:
             needed.update(program.instrs[k].args)
     return needed

@@ -10,8 +10,8 @@ class Cones:
     """Operands, reference counts and costs of a program's nodes and of those appended since."""
 
     def __init__(self, program: Program, objective: Objective) -> None:
-        self.costs = objective.node_costs(program)
-        self.early = depends_on_parameters_alone(program)
+        self.costs = list(objective.node_costs(program))
+        self.early = list(depends_on_parameters_alone(program))
         self.args = [i.args for i in program.instrs]
         self.refs = [0] * len(program.instrs)
         for args in self.args:

@@ -6,9 +6,10 @@ nothing, but a shorter program wins among equals.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 from servogen.ir.binding import depends_on_parameters_alone
-from servogen.ir.program import Program, live
+from servogen.ir.program import Program, asked_once, live, needed
 
 OPERATION = 1000
 """The cost of one addition or multiplication at tick."""
@@ -22,6 +23,7 @@ EARLY = 0.002
 _ASIDE = 0.25  # needed by minor outputs alone
 
 
+@cache
 def weight(op: str) -> int:
     """The cost of one operation at tick; divisions and functions cost several additions."""
     if op in ("input", "const"):
@@ -35,27 +37,31 @@ class Objective:
 
     minor: frozenset[str] = frozenset()
 
-    def node_costs(self, program: Program) -> list[int]:
+    def node_costs(self, program: Program) -> tuple[int, ...]:
         """What each instruction adds to the cost of the program; zero for what no output needs."""
-        early = depends_on_parameters_alone(program)
-        everything = live(program, _roots(program, (o.name for o in program.outputs)))
-        main = live(program, _roots(program, (o.name for o in program.outputs if o.name not in self.minor)))
-        costs = []
-        for k, instr in enumerate(program.instrs):
-            share = 0.0 if k not in everything else EARLY if early[k] else 1.0 if k in main else _ASIDE
-            costs.append(round(weight(instr.op) * share))
-        return costs
+        return _node_costs(program, self.minor)
 
     def cost(self, program: Program) -> int:
         return sum(self.node_costs(program))
 
 
+@asked_once
+def _node_costs(program: Program, minor: frozenset[str]) -> tuple[int, ...]:
+    early = depends_on_parameters_alone(program)
+    everything = needed(program)
+    main = live(program, _roots(program, (o.name for o in program.outputs if o.name not in minor)))
+    costs = []
+    for k, instr in enumerate(program.instrs):
+        share = 0.0 if k not in everything else EARLY if early[k] else 1.0 if k in main else _ASIDE
+        costs.append(round(weight(instr.op) * share))
+    return tuple(costs)
+
+
 def tick_operations(program: Program, names: Iterable[str] | None = None) -> int:
     """Operations at each tick for the named outputs (default all), counted as the manifest counts them."""
-    wanted = [o.name for o in program.outputs] if names is None else list(names)
     early = depends_on_parameters_alone(program)
-    needed = live(program, _roots(program, wanted))
-    return sum(program.instrs[k].op not in ("input", "const", "neg") and not early[k] for k in needed)
+    alive = needed(program) if names is None else live(program, _roots(program, names))
+    return sum(program.instrs[k].op not in ("input", "const", "neg") and not early[k] for k in alive)
 
 
 def _roots(program: Program, names: Iterable[str]) -> list[int]:

@@ -6,7 +6,7 @@ The search at tick leaves it in the form in which terms at tick were gathered: I
 from dataclasses import replace
 
 from servogen.ir.binding import depends_on_parameters_alone
-from servogen.ir.program import Instr, Output, Program, live, rebuild
+from servogen.ir.program import Instr, Output, Program, live, needed, rebuild
 
 _VALUES = "values"
 
@@ -35,9 +35,8 @@ def with_early_part(program: Program, part: Program) -> Program:
     return replace(program, instrs=tuple(instrs), outputs=outputs)
 
 
-def _handed_over(program: Program, early: list[bool]) -> list[int]:
-    needed = live(program, (n for o in program.outputs for n in o.nodes))
-    taken = {a for k in needed if not early[k] for a in program.instrs[k].args} | {
+def _handed_over(program: Program, early: tuple[bool, ...]) -> list[int]:
+    taken = {a for k in needed(program) if not early[k] for a in program.instrs[k].args} | {
         n for o in program.outputs for n in o.nodes
     }
     return sorted(k for k in taken if early[k] and program.instrs[k].op != "input")

@@ -123,7 +123,7 @@ class _Search:
         return out.finish()
 
 
-def _targets(program: Program, early: list[bool]) -> list[int]:
+def _targets(program: Program, early: tuple[bool, ...]) -> list[int]:
     """Sums and products that an output or another kind of operation reads, the last first."""
     read = {n for o in program.outputs for n in o.nodes}
     for instr in program.instrs:
@@ -156,7 +156,9 @@ class _Term:
 class _Builder:
     """Appends forms of a polynomial to a program. tied: an order had a choice; reused: `reusable` gave a node."""
 
-    def __init__(self, out: Rewriter, early: list[bool], reusable: Callable[[Residue], int | None] | None) -> None:
+    def __init__(
+        self, out: Rewriter, early: tuple[bool, ...], reusable: Callable[[Residue], int | None] | None
+    ) -> None:
         self.out, self.early, self.reusable = out, early, reusable
         self.coefficients: dict[Residue, int] = {}
         self.order = 0
@@ -183,7 +185,7 @@ class _Builder:
         return self.early[atom if atom >= 0 else -atom - 1]
 
     def _is_one(self, node: int) -> bool:
-        return self.out.instrs[node].const == Fraction(1)
+        return self.out.instrs[node].const == 1
 
     def _coefficient(self, polynomial: Polynomial) -> Signed | None:
         """The node of a coefficient up to sign; None where it is zero."""

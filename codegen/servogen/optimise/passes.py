@@ -16,6 +16,8 @@ def optimise(program: Program) -> Program:
     while True:
         before = program
         for run in PASSES:
-            program = check_legal(run(program))
+            found = run(program)
+            if found != program:
+                program = check_legal(found)
         if program == before:
             return program

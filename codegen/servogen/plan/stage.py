@@ -46,7 +46,7 @@ def cut(tick: Program, name: str, outputs: tuple[str, ...]) -> Program:
 Guards = list[tuple[int, int]]
 
 
-def _guards_by_time(program: Program, from_parameters: list[bool]) -> tuple[Guards, Guards]:
+def _guards_by_time(program: Program, from_parameters: tuple[bool, ...]) -> tuple[Guards, Guards]:
     """(pivot, scale) pairs judged in prepare, and those judged at each tick."""
     if not any(o.name == MASS_PIVOT for o in program.outputs):
         return [], []
