@@ -120,7 +120,7 @@ def check_legal(program: Program) -> Program:
     if len({o.name for o in program.outputs}) != len(program.outputs):
         raise IllegalProgramError(f"program {program.name}: two outputs share a name")
     for k, instr in enumerate(program.instrs):
-        if any(not 0 <= a < k for a in instr.args):
+        if instr.args and not (min(instr.args) >= 0 and max(instr.args) < k):
             raise IllegalProgramError(f"{_place(program, k)} refers to an instruction that is not before it")
         if instr.op == "input":
             legal = isinstance(instr.const, tuple) and 0 <= instr.const[1] < sizes.get(instr.const[0], 0)
