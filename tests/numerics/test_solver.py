@@ -17,6 +17,8 @@ from servogen.scalars import EPSILON
 from servogen.verify.stress import core
 from servogen.verify.stress.matrices import with_spectra
 
+pytestmark = pytest.mark.xdist_group("solvers")  # one process compiles each once
+
 SCALARS = ["float64", "float32"]
 SHIFTS = {
     "float64": [(130, 0), (0, 550), (-98, 600), (40, -300), (-120, 620)],

@@ -17,7 +17,12 @@ STRICT = (
     "-ffp-contract=off"
 ).split()
 
-TEMPLATES = Path(__file__).parents[2] / "codegen" / "servogen" / "render" / "templates"
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).parents[2] / "codegen" / "servogen" / "render" / "templates"),
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
 
 SOLVERS = {
     "default": Solver(),
@@ -33,17 +38,11 @@ SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (12, 12)]
 def render(m, l, scalar, solver):
     """A whole C file around the templates, prefix pinv."""
     plan = plan_solver(m, l, scalar, solver)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     context = solver_context(plan, "pinv", lambda value: literal(value, scalar))
     uses = f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info);\n"
     uses += f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info)\n"
     uses += "{ return pinv_solve_core(S, z, NULL, x, info) + pinv_pinv_core(S, x, info); }\n"
-    parts = [environment.get_template(f"solver/{name}.j2").render(context) for name in ("info.h", "solver.c")]
+    parts = [TEMPLATES.get_template(f"solver/{name}.j2").render(context) for name in ("info.h", "solver.c")]
     return "\n".join(["#include <math.h>\n#include <stddef.h>\n#include <stdint.h>", *parts, uses])
 
 
