@@ -1,14 +1,45 @@
 """Shared by all tests: what to do where a tool is not installed."""
 
+import hashlib
 import importlib
-from collections.abc import Callable
+import os
+import pickle
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from servogen import scene_program
+from servogen.optimise.search import Optimised
 from servogen.tools import ToolMissing, find_library, find_tool
 from servogen.verify.harness import require_target
 from support.missing import skip_or_fail
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_search_a_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Equal scenes are optimised once in a run, whichever test and process has the first; the next run starts anew.
+
+    Tests of the search itself call it directly.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "searches"  # beside the workers
+    folder.mkdir(exist_ok=True)
+    search = scene_program.search
+
+    def search_once(program, states, minor, without) -> Optimised:
+        said = str(program), {n: np.asarray(v).tolist() for n, v in states.items()}, sorted(minor), sorted(without)
+        file = folder / hashlib.sha256(repr(said).encode()).hexdigest()
+        if not file.exists():
+            partial = file.with_suffix(f".{os.getpid()}")
+            partial.write_bytes(pickle.dumps(search(program, states, minor, without)))
+            partial.replace(file)
+        return pickle.loads(file.read_bytes())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene_program, "search", search_once)
+        yield
 
 
 @pytest.fixture(scope="session")
