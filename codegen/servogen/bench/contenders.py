@@ -292,16 +292,18 @@ def textbook(scene: Scene) -> PythonContender:
 
 
 def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
-    """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv."""
+    """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv, of S L^-T with a weight L L^T."""
     found = {Output.MATRIX: ca.densify(scene.mechanism.G), **user.expressions(scene)}
     functions = {
         output: user.function(scene, f"numpy_{output.value}", found[output], cse=True)
         for output in (Output.MATRIX, Output.RIGHT)
     }
-    free = None
+    free = weight = None
     if scene.y is not None:
         y = scene.y_symbol if isinstance(scene.y, str) else scene.y
         free = user.function(scene, "numpy_y", ca.densify(y), cse=True)
+    if scene.weight is not None:
+        weight = user.function(scene, "numpy_weight", ca.densify(scene.weight), cse=True)
     parameters = inputs.parameters
 
     def call(function: Any, state: Mapping[str, FloatArray]) -> FloatArray:
@@ -310,7 +312,11 @@ def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
     def answer(state: Mapping[str, FloatArray]) -> Answer:
         S, z = call(functions[Output.MATRIX], state), call(functions[Output.RIGHT], state)
         try:
-            inverse = np.linalg.pinv(S)
+            if weight is None:
+                inverse = np.linalg.pinv(S)
+            else:
+                L = np.linalg.cholesky(call(weight, state))
+                inverse = np.linalg.solve(L.T, np.linalg.pinv(np.linalg.solve(L, S.T).T))
         except np.linalg.LinAlgError:  # how numpy meets NaN and infinity
             return -1, np.full(scene.controls, np.nan)
         if free is None:

@@ -31,13 +31,16 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     result: Truth = {output: [] for output in Output}
     for k, exact in enumerate(evaluate_exactly(program.exact, columns)):
         S, z = exact[matrix], _reaction(exact) if scene.kind == "ideal" else exact[right]
-        y = exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]] if scene.y is not None else [mp.mpf(0)] * l
+        if weight is not None:
+            answer = _weighted(exact, z, factorised, weight, l)
+        elif scene.y is None:
+            answer = _minimum_norm(S, z, [mp.mpf(0)] * l)
+        else:
+            answer = _minimum_norm(S, z, exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]])
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
         result[Output.SYSTEM].append([*S, *z])
-        result[Output.ANSWER].append(
-            _minimum_norm(S, z, y) if weight is None else _weighted(exact, z, factorised, weight, l)
-        )
+        result[Output.ANSWER].append(answer)
     return result
 
 
