@@ -2,18 +2,12 @@
 
 import subprocess
 import sys
+from importlib import import_module
 from typing import NoReturn
 
 import click
 
-from servogen.cli.bench import bench_command
-from servogen.cli.certify import certify_command
-from servogen.cli.check import check_command
 from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, emit_json, show_warnings
-from servogen.cli.generate import generate, list_scenes, solver
-from servogen.cli.report import report_command
-from servogen.cli.simulate import simulate_command
-from servogen.cli.stress import stress_command
 from servogen.errors import SceneError
 from servogen.simulate.board import BoardRunError
 from servogen.tools import ToolMissing
@@ -21,8 +15,36 @@ from servogen.twins.compiled import CompilerRefused
 from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
 from servogen.version import VERSION
 
+COMMANDS = {
+    "list": ("generate", "list_scenes"),
+    "generate": ("generate", "generate"),
+    "solver": ("generate", "solver"),
+    "check": ("check", "check_command"),
+    "simulate": ("simulate", "simulate_command"),
+    "bench": ("bench", "bench_command"),
+    "stress": ("stress", "stress_command"),
+    "certify": ("certify", "certify_command"),
+    "report": ("report", "report_command"),
+}
+"""Name -> its file in cli/ and the function there."""
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+
+class Commands(click.Group):
+    """The subcommands, each imported when it is asked for: who generates need not wait for plots."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        file, function = COMMANDS[name]
+        found = getattr(import_module(f"servogen.cli.{file}"), function)
+        assert isinstance(found, click.Command)
+        return found
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(VERSION, prog_name="servogen")
 def cli() -> None:
     """From servo-constraints on a mechanical model, written in CasADi, to dependency-free C.
@@ -30,20 +52,6 @@ def cli() -> None:
     SCENE is a built-in name (servogen list) or path/to/file.py[:variable].
     Exit codes: 0 good, 1 a check failed, 2 wrong input.
     """
-
-
-for command in (
-    list_scenes,
-    generate,
-    solver,
-    check_command,
-    simulate_command,
-    bench_command,
-    stress_command,
-    certify_command,
-    report_command,
-):
-    cli.add_command(command)
 
 
 def main() -> None:

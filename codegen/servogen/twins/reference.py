@@ -6,7 +6,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import qr
 
 from servogen.compiler import optimised_scene
 from servogen.derive.ideal import dependent_columns
@@ -204,6 +203,8 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
         R = np.full(len(P), 0.0 if info.status >= 0 else np.nan)
         if info.rank > 0:
             rows, right = _independent_rows(J, b, info.rank)
+            from scipy.linalg import qr  # here, for it takes a third of the time to import servogen
+
             chosen = tuple(sorted(qr(rows, pivoting=True, mode="r")[1][: info.rank]))
             T, F = nonminimal_form(Q, P, rows, right, chosen)
             R = Q @ np.linalg.solve(T, F) - P
