@@ -53,7 +53,7 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
         ),
         (
             "tau against the exact solution of its system",
-            f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)",
+            f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖), u the unit roundoff, κ the condition of S",
             solve <= BAR,
         ),
     ]
