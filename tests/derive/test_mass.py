@@ -103,6 +103,26 @@ def test_definiteness_is_judged_over_the_domain() -> None:
     assert derive(small(Q, {"q": (-1.0, 1.0)})).mass.method == "pivoted LU"
 
 
+@pytest.mark.parametrize(
+    ("Q", "where"),
+    [
+        (ca.diag(ca.vertcat(2.0, -1.0)), r"8 of 8 states .*eigenvalue is -1\)"),
+        (entries(1, 2, 2, 1), r"8 of 8 states .*eigenvalue is -1\)"),
+        (ca.diag(ca.vertcat(q[0], 1)), r"[1-7] of 8 states"),
+    ],
+)
+def test_a_mass_matrix_of_wrong_signs_is_said(Q: Any, where: str) -> None:
+    with pytest.warns(UserWarning, match=f"Q is not positive definite at {where}"):
+        derive(small(Q, {"q": (-1.0, 1.0)}))
+
+
+def test_a_mass_matrix_as_it_should_be_is_not_remarked(recwarn: pytest.WarningsRecorder) -> None:
+    derive(small(ca.diag(ca.vertcat(par.a, 3.0))))
+    derive(small(entries(2 + q[0], 0.1, 0.1, 1), {"q": (-1.0, 1.0)}))
+    derive(small(entries(1, 2, 0, -1)))  # not symmetric: no kinetic energy's
+    assert not recwarn.list
+
+
 def test_q_that_is_nan_somewhere_in_the_domain() -> None:
     Q = entries(2 + ca.sqrt(q[0]), 0.1, 0.1, 2)
     assert derive(small(Q, {"q": (-1.0, 1.0)})).mass.method == "pivoted LU"

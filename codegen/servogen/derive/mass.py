@@ -3,6 +3,7 @@
 LDL^T where Q is symmetric by proof and positive definite over the domain by check, LU with pivoting otherwise.
 """
 
+import warnings
 from typing import Any
 
 import casadi as ca
@@ -27,10 +28,12 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     Q = scene.mechanism.Q
     samples = sample(scene, Q)
     _check_regular(scene, Q, samples)
-    if _is_diagonal(Q):
-        return _solve_diagonal(Q, right, positive=_is_positive_definite(samples))
-    if not is_symmetric(scene, Q):
+    diagonal = _is_diagonal(Q)
+    if not diagonal and not is_symmetric(scene, Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
+    _warn_of_signs(samples[: _SAMPLES // 4])
+    if diagonal:
+        return _solve_diagonal(Q, right, positive=_is_positive_definite(samples))
     if not _is_positive_definite(samples):
         return _solve_lu(Q, right, "Q is symmetric but not positive definite over the domain")
     return _solve_ldlt(Q, right)
@@ -96,6 +99,17 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
         raise SceneError(
             f"Q is structurally singular: its rank is below {n} at every state; "
             "give each velocity parameter an inertia, or remove it from u"
+        )
+
+
+def _warn_of_signs(samples: FloatArray) -> None:
+    """samples: at the default parameters. No kinetic energy has another Q, but the method does not mind."""
+    smallest = np.array([np.min(np.linalg.eigvalsh(v)) if np.all(np.isfinite(v)) else np.inf for v in samples])
+    if np.any(smallest < 0):
+        warnings.warn(
+            f"Q is not positive definite at {np.sum(smallest < 0)} of {len(samples)} states drawn from the domain (an "
+            f"eigenvalue is {np.min(smallest):.3g}), as a mass matrix is: check its signs, or narrow the domain",
+            stacklevel=6,
         )
 
 
