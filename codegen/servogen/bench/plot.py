@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatter
 
 from servogen.bench.results import LABELS, Bench, Measurement, Output
@@ -39,9 +40,15 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def _figure(bench: Bench) -> Figure:
     outputs = [o for o in Output if any(m.output is o for m in bench.measurements)]
-    figure = Figure(figsize=(5.4 * len(outputs) + 0.6, 6.2))
+    columns = min(2, len(outputs))  # no more, or a page shows them too small to read
+    rows_of_panels = -(-len(outputs) // columns)
+    width, height = 5.4 * columns + 0.6, 5.2 * rows_of_panels + 1.0
+    figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(outputs), sharex=True, sharey=True, squeeze=False)[0]
+    grid = figure.subplots(rows_of_panels, columns, sharex=True, sharey=True, squeeze=False)
+    panels = grid.ravel()[: len(outputs)]
+    for spare in grid.ravel()[len(outputs) :]:
+        spare.remove()
     low, high = _limits(bench.measurements)
     for axes, output in zip(panels, outputs, strict=True):
         rows = [m for m in bench.measurements if m.output is output and not m.aside]
@@ -49,10 +56,14 @@ def _figure(bench: Bench) -> Figure:
         axes.set_xlim(*_time_limits(bench.measurements))
         axes.set_ylim(low, high)
         _markers(axes, rows, high)
-    panels[0].set_ylabel("largest error, as a part of the output's largest magnitude")
-    figure.suptitle(f"{bench.scene}: run time against error", x=0.012, y=0.985, ha="left", fontsize=14, weight="bold")
-    figure.text(0.012, 0.94, _caption(bench), ha="left", va="top", fontsize=9.5, color="#444444")
-    figure.subplots_adjust(left=0.062, right=0.99, top=0.85, bottom=0.1, wspace=0.04)
+    for first in grid[:, 0]:
+        first.set_ylabel("largest error, as a part of the output's largest magnitude")
+    title = f"{bench.scene}: run time against error"
+    figure.suptitle(title, x=0.012, y=1 - 0.1 / height, ha="left", fontsize=14, weight="bold")
+    figure.text(0.012, 1 - 0.38 / height, _caption(bench), ha="left", va="top", fontsize=9.5, color="#444444")
+    figure.subplots_adjust(
+        left=0.7 / width, right=1 - 0.1 / width, top=1 - 0.95 / height, bottom=0.6 / height, wspace=0.04, hspace=0.16
+    )
     return figure
 
 
@@ -64,13 +75,21 @@ def _caption(bench: Bench) -> str:
     )
 
 
+class _TimeFormatter(LogFormatter):
+    """matplotlib's choice of ticks, with their unit."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return _time(x) if super().__call__(x, pos) else ""
+
+
 def _axes(axes: Any, bench: Bench, output: Output) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_title(_title(bench, output), loc="left", fontsize=11)
-    axes.set_xlabel("time per call, ns")
-    axes.xaxis.set_major_formatter(LogFormatter())
-    axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1, 0.4)))
+    axes.set_xlabel("time per call")
+    axes.xaxis.set_major_formatter(_TimeFormatter())
+    axes.xaxis.set_minor_formatter(_TimeFormatter(labelOnlyBase=False, minor_thresholds=(1, 0.4)))
+    axes.tick_params(labelbottom=True)
     axes.grid(True, which="major", color="#e6e6e6", linewidth=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -78,8 +97,8 @@ def _axes(axes: Any, bench: Bench, output: Output) -> None:
     for epsilon, name in ((2.0**-52, "double"), (2.0**-23, "float")):
         axes.axhline(epsilon, color="#bbbbbb", linewidth=0.8, linestyle=":")
         axes.annotate(
-            f"epsilon of {name}", (0.005, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
-            textcoords="offset points", ha="left", va="bottom", fontsize=7.5, color="#888888",
+            f"epsilon of {name}", (0.995, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
+            textcoords="offset points", ha="right", va="bottom", fontsize=7.5, color="#888888",
         )  # fmt: skip
 
 
@@ -116,7 +135,7 @@ def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float
         spot, side = _beside((x, height), _LETTER * len(text))
         axes.annotate(
             text, (x, y), xycoords="axes fraction", xytext=spot, textcoords="axes fraction", ha=side, va="center",
-            fontsize=8.5, color=colour,
+            fontsize=8.5, color=colour, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             weight="bold" if m.ours else "normal",
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1, "shrinkB": 4},
         )  # fmt: skip
