@@ -3,6 +3,7 @@
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -76,14 +77,10 @@ def test_a_plant_that_escapes_ends_the_run(escape_loop):
     assert np.all(np.isfinite(run.u))
 
 
-def test_nan_at_the_start_is_the_controllers_refusal(escape_loop):
-    run = escape_loop.run(start={"u": [np.nan, 1]})
-    assert (run.stop.reason, run.stop.status, len(run.t)) == ("controller", sg.Status.NONFINITE, 0)
+def test_what_prepare_refuses_leaves_no_row(rail_loop):
+    run = rail_loop.run(parameters={"m": -1.0})
+    assert (run.stop.reason, run.stop.status, len(run.t)) == ("controller", sg.Status.SINGULAR_MASS, 0)
     assert run.stop.t == 0
-
-
-def test_nan_among_the_parameters_is_refused(rail_loop):
-    assert rail_loop.run(parameters={"m": np.nan}).stop.status == sg.Status.NONFINITE
 
 
 def test_the_step_is_shortened_to_divide_the_duration(escape_loop):
@@ -139,6 +136,44 @@ def test_only_references_move(tracker_loop):
         ClosedLoop(tracker_loop.scene, Simulation(references={"s": lambda t: t}))
 
 
+def test_a_reference_of_numbers_is_that_constant(tracker_loop):
+    simulation = replace(tracker_loop.simulation, start={"q": [3, 4], "u": [0, 0]}, references={"r": [3.0, 4.0]})
+    run = simulate(tracker_loop.scene, simulation, duration=0.1)
+    assert np.all(run.q == [3, 4])
+    assert np.all(run.psi == 0)
+
+
+def test_a_run_goes_before_the_references_of_the_simulation(tracker_loop):
+    run = simulate(tracker_loop.scene, tracker_loop.simulation, references={"r": [3, 4]}, duration=0.1)
+    assert np.all(run.outputs["r"] == 3)
+    resting = ClosedLoop(tracker_loop.scene, replace(tracker_loop.simulation, references={"r": [1, 2]}))
+    assert np.all(resting.run(references={"r": [3, 4]}, duration=0.1).outputs["r"] == 3)
+    with pytest.raises(sg.SceneError, match=r"'r_dot' moves.*holding"):
+        tracker_loop.run(references={"r_dot": [3, 4]})
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (1.0, "1 entries; it must have 2"),
+        ("12", "give 2 numbers, or a function of time"),
+        ([1.0, math.nan], "not finite"),
+        (ca.SX.sym("t", 2), "give 2 numbers, or a function of time"),
+        (lambda: 0, "TypeError.*lambda t"),
+        (lambda t, more: t, "TypeError.*lambda t"),
+        (lambda t: t, "shape 1x1.*column of 2"),
+        (lambda t: "x", "cannot read str"),
+        (lambda t: [t, t], "vertcat"),
+        (lambda t: [math.sin(t), 0], "ca.sin.*not math.sin"),
+        (lambda t: ca.vertcat(t + math.sin(t), 0), "ca.sin.*not math.sin"),
+        (lambda t: ca.vertcat(t, ca.SX.sym("stranger")), "stranger"),
+    ],
+)
+def test_a_reference_that_is_no_course_is_named(tracker_loop, given, words):
+    with pytest.raises(sg.SceneError, match=rf"references\['r'\].*{words}"):
+        ClosedLoop(tracker_loop.scene, Simulation(references={"r": given}))
+
+
 def test_y_as_an_input_is_constant_over_the_run():
     q, u, tau = (ca.SX.sym(n, 2) for n in ("q", "u", "tau"))
     scene = sg.Scene(
@@ -171,8 +206,10 @@ def test_defaults_draw_the_start_from_the_domain():
         ({"start": {"u": [1, 2, 3]}}, "u has 3 entries"),
         ({"start": {"t": 1}}, "'t'"),
         ({"references": {"r": 1}}, "'r'"),
-        ({"parameters": {"m": 1}}, "no parameter 'm'"),
+        ({"parameters": {"m": 1}}, "parameters: 'm'"),
+        ({"start": {"u": [math.nan, 1]}}, "start: u.*finite"),
         ({"duration": -1.0}, "duration"),
+        ({"duration": 1.0, "step": 5.0}, "step 5 s.*duration 1 s"),
         ({"step": 0.0}, "step"),
         ({"step": 1e-9}, "at most"),
     ],

@@ -22,9 +22,10 @@ from servogen.simulate.simulation import (
     METHODS,
     Simulation,
     check_simulation,
+    checked,
     known_symbols,
     moving_references,
-    sized,
+    run_takes,
     start_values,
 )
 from servogen.simulate.sources import LoopSources, write_loop
@@ -62,7 +63,7 @@ def simulate(
     project: bool = True,
 ) -> Trajectory:
     """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
-    loop = ClosedLoop(scene, simulation, scalar)
+    loop = ClosedLoop(scene, (simulation or Simulation()).holding(references or ()), scalar)
     return loop.run(
         start=start,
         duration=duration,
@@ -119,14 +120,18 @@ class ClosedLoop:
         """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
-        shortened so that it divides the duration. references: y and references by name, constant over the run unless
-        the simulation moves them.
+        shortened so that it divides the duration. references: y and references by name, constant over the run; none
+        that the simulation moves, see Simulation.holding.
         hold: the controller has one tick a step (`control`, or `step(dt)`) and tau is held in between, as in firmware;
         otherwise it is called in every stage. project: controls-involved scenes first take the nearest tau with
         phi = 0. progress: called with (steps done, steps) from time to time.
         """
         duration, step, steps = self._grid(duration, step)
-        inputs = start_values(self.scene, self.simulation, {**(start or {}), **(references or {})})
+        inputs = start_values(self.scene, self.simulation, start, references)
+        for name in moving_references(self.scene, self.simulation, ca.SX.sym("t")):
+            if name in (references or {}):
+                remedy = "hold its reference too (--reference, or Simulation.holding)"
+                raise SceneError(f"references: {name!r} moves in this simulation; {remedy}")
         values = self._parameters(parameters or {})
         method = self.simulation.method if method is None else method
         if method not in METHODS:
@@ -143,17 +148,16 @@ class ClosedLoop:
         for name, value in (("duration", duration), ("step", step)):
             if not (math.isfinite(value) and value > 0):
                 raise SceneError(f"{name} = {value}; give a positive number of seconds")
-        steps = max(1, math.ceil(duration / step * (1 - 1e-12)))
+        if step > duration:
+            raise SceneError(f"step {step:g} s is longer than duration {duration:g} s; give a shorter step")
+        steps = math.ceil(duration / step * (1 - 1e-12))
         if steps > MOST_STEPS:
             raise SceneError(f"duration {duration} s in steps of {step} s are {steps} steps; at most {MOST_STEPS}")
         return duration, duration / steps, steps
 
     def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
-        fields = {f.name: f for f in self.scene.parameters}
-        for name in given:
-            if name not in fields:
-                raise SceneError(f"no parameter {name!r}; there are {', '.join(fields) or 'none'}")
-        return {n: sized(given.get(n, f.default), f.size, f"parameter {n}") for n, f in fields.items()}
+        known = {f.name: np.asarray(f.default, float) for f in self.scene.parameters}
+        return known | checked(given, run_takes(self.scene)["parameters"], "parameters")
 
     def _integrate(
         self,

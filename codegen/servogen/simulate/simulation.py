@@ -1,7 +1,7 @@
 """Where a simulated run of a scene starts, how long it lasts, what is drawn and what stops it."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
-from servogen.scene.symbols import chains
+from servogen.scene.symbols import Field, chains
 
 METHODS = ("rk4", "dop8")
 """The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
@@ -30,7 +30,7 @@ class Simulation:
         of parameters and references.
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
     references: name -> function of time, lambda t: SX, for references (and y) that move; their rates r_dot and r_ddot,
-        where the scene declares them, are its derivatives. What is not here is constant, see start.
+        where the scene declares them, are its derivatives. Numbers, and what is left out (see start), are constant.
     sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
         or a control's magnitude exceeds the other.
     method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
@@ -43,7 +43,7 @@ class Simulation:
     outputs: Mapping[str, Any] = field(default_factory=dict)
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
-    references: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
+    references: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     sigma_min: float | None = None
     tau_max: float | None = None
@@ -77,6 +77,11 @@ class Simulation:
         margins += [] if self.tau_max is None else [f"|tau| > {self.tau_max:g}"]
         return (*self.stop, *margins)
 
+    def holding(self, references: Iterable[str]) -> "Simulation":
+        """The same with these references at rest, for a run that gives their values."""
+        given = set(references)
+        return replace(self, references={n: r for n, r in self.references.items() if n not in given})
+
 
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
     """SceneError where the simulation names what the scene does not have."""
@@ -92,6 +97,7 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
                     f"{scene.name!r}; use its q, u, tau, t, parameters and references"
                 )
     moving_references(scene, simulation, ca.SX.sym("t"))
+    _resting_references(scene, simulation)
     names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
@@ -106,29 +112,41 @@ def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     return fields if scene.system.tau_is_state else [*fields, ("tau", scene.mechanism.tau)]
 
 
+def run_takes(scene: Scene) -> dict[str, dict[str, int]]:
+    """What ClosedLoop.run takes by name, and its size: start, references (y among them) and parameters."""
+    mech = scene.mechanism
+    states = {"q": mech.q.size1(), "u": mech.u.size1(), "tau": scene.controls}
+    return {
+        "start": states,
+        "references": {f.name: f.size for f in scene.input_fields() if f.name not in (*states, "t")},
+        "parameters": {f.name: f.size for f in scene.parameters},
+    }
+
+
 def moving_references(scene: Scene, simulation: Simulation, t: Any) -> dict[str, Any]:
     """name -> SX of t for every reference that moves, its declared rates included, and for y."""
-    assert scene.references is not None
-    chain = {c.chain[0].name: c.chain for c in chains(scene.references)}
     moving: dict[str, Any] = {}
-    for name, function in simulation.references.items():
-        if name not in chain and not (name == "y" and scene.y == "input"):
-            raise SceneError(
-                f"simulation: references[{name!r}] is no reference; there are {', '.join(chain) or 'none'}"
-            )
-        fields = [(f.name, f.size) for f in chain[name]] if name in chain else [("y", scene.controls)]
-        value = column(function(t), f"simulation: references[{name!r}]", fields[0][1])
-        for field_name, _ in fields:
-            moving[field_name] = value
-            value = ca.jacobian(value, t)
+    for name, what, fields in _given_references(scene, simulation):
+        course = simulation.references[name]
+        if callable(course):
+            value = _course(course, t, what, fields[0].size)
+            for f in fields:
+                moving[f.name] = value
+                value = ca.jacobian(value, t)
     return moving
 
 
-def start_values(scene: Scene, simulation: Simulation, given: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
-    """Every input at t = 0 as an array (size,), tau included; `given` goes before simulation.start.
+def start_values(
+    scene: Scene,
+    simulation: Simulation,
+    start: Mapping[str, Any] | None = None,
+    references: Mapping[str, Any] | None = None,
+) -> dict[str, FloatArray]:
+    """Every input at t = 0 as an array (size,), tau included; `start` and `references` go before the simulation's.
 
-    SceneError for unknown names and wrong sizes.
+    SceneError for unknown names, wrong sizes and what is not finite.
     """
+    takes = run_takes(scene)
     drawn = draw_states(scene, 1)
     values = {
         f.name: np.asarray(drawn[f.name][0] if f.name in ("q", "u", "tau") else f.default, dtype=float)
@@ -136,23 +154,78 @@ def start_values(scene: Scene, simulation: Simulation, given: Mapping[str, Any] 
     }
     values.setdefault("tau", np.zeros(scene.controls))
     values["t"] = np.zeros(1)
-    for name, value in {**simulation.start, **(given or {})}.items():
-        if name not in values or name == "t":
-            known = ", ".join(n for n in values if n != "t")
-            raise SceneError(f"start: {name!r} is no state or input; there are {known}")
-        values[name] = sized(value, values[name].size, f"start: {name}")
+    values |= checked(simulation.start, takes["start"] | takes["references"], "simulation: start")
+    values |= _resting_references(scene, simulation)
+    values |= checked(start or {}, takes["start"], "start")
+    values |= checked(references or {}, takes["references"], "references")
     return values
 
 
-def sized(value: Any, size: int, what: str) -> FloatArray:
-    """A number or a list as an array (size,); SceneError otherwise."""
+def checked(given: Mapping[str, Any], sizes: Mapping[str, int], what: str) -> dict[str, FloatArray]:
+    """`given` as arrays of these sizes; SceneError naming `what` where it does not fit."""
+    for name in given:
+        if name not in sizes:
+            raise SceneError(f"{what}: {name!r} is unknown; there are {', '.join(sizes) or 'none'}")
+    return {n: sized(value, sizes[n], f"{what}: {n}") for n, value in given.items()}
+
+
+def sized(value: Any, size: int, what: str, remedy: str = "") -> FloatArray:
+    """A finite number or a list as an array (size,); SceneError otherwise."""
+    wanted = f"give {size} number{'s' if size > 1 else ''}{remedy}"
     try:
-        array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+        array = np.atleast_1d(np.asarray(value))
+        if array.dtype.kind in "USc":
+            raise TypeError("text and complex numbers are no numbers here")
+        array = array.astype(float).ravel()
     except (TypeError, ValueError):
-        raise SceneError(f"{what} = {value!r}; give {size} numbers") from None
+        raise SceneError(f"{what} = {value!r}; {wanted}") from None
     if array.size != size:
         raise SceneError(f"{what} has {array.size} entries; it must have {size}")
+    if not np.all(np.isfinite(array)):
+        raise SceneError(f"{what} = {value!r} is not finite; {wanted}")
     return array
+
+
+def _given_references(scene: Scene, simulation: Simulation) -> Iterator[tuple[str, str, tuple[Field, ...]]]:
+    """(name, what to call it, the inputs it sets) of each of simulation.references."""
+    assert scene.references is not None
+    known = {c.chain[0].name: c.chain for c in chains(scene.references)}
+    if scene.y == "input":
+        known |= {f.name: (f,) for f in scene.input_fields() if f.name == "y"}
+    for name in simulation.references:
+        what = f"simulation: references[{name!r}]"
+        if name not in known:
+            raise SceneError(f"{what} is no reference; there are {', '.join(known) or 'none'}")
+        yield name, what, known[name]
+
+
+def _resting_references(scene: Scene, simulation: Simulation) -> dict[str, FloatArray]:
+    """The references that simulation.references gives as numbers, their declared rates zero."""
+    resting: dict[str, FloatArray] = {}
+    for name, what, fields in _given_references(scene, simulation):
+        value = simulation.references[name]
+        if not callable(value):
+            resting |= {f.name: np.zeros(f.size) for f in fields}
+            resting[name] = sized(value, fields[0].size, what, ", or a function of time, as lambda t: ca.sin(t)")
+    return resting
+
+
+def _course(function: Callable[[Any], Any], t: Any, what: str, size: int) -> Any:
+    """function(t) as a column of SX that depends on t alone."""
+    remedy = "a function of time is made of its argument and casadi's functions: lambda t: ca.sin(t), not math.sin(t)"
+    try:
+        sx = column(function(t), what, size)
+    except Exception as error:
+        said = str(error) if isinstance(error, SceneError) else f"{what}: {type(error).__name__}: {error}"
+        raise SceneError(f"{said}; {remedy}") from error
+    for symbol in ca.symvar(sx):
+        if symbol.__hash__() != t.__hash__():
+            raise SceneError(f"{what} holds the symbol {symbol.name()!r}; {remedy}")
+    course = ca.Function("course", [t], [sx])
+    constants = [k for k in range(course.n_instructions()) if course.instruction_id(k) == ca.OP_CONST]
+    if not all(np.isfinite(course.instruction_constant(k)) for k in constants):
+        raise SceneError(f"{what} holds a number that is not finite; {remedy}")
+    return sx
 
 
 def _scalar(expression: Any, what: str) -> Any:
