@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -18,7 +19,14 @@ SCENE = """
 import casadi as ca
 import servogen as sg
 q, u, tau = (ca.SX.sym(n) for n in ("q", "u", "tau"))
-scene = sg.Scene("falls", sg.Mechanism(q=q, u=u, tau=tau, Q=1, P={P}, G={G}), [sg.Nonholonomic("n", u - 1, Theta=-1.0)])
+par, ref = sg.Parameters(M=1.0, k=[1.0, 2.0]), sg.References(r=1.0)
+scene = sg.Scene(
+    "falls",
+    sg.Mechanism(q=q, u=u, tau=tau, Q=par.M, P={P}, G={G}),
+    [sg.Nonholonomic("n", u - ref.r, Theta=-1.0)],
+    parameters=par,
+    references=ref,
+)
 simulation = {simulation}
 """
 
@@ -88,11 +96,14 @@ def test_a_run_that_finishes_is_good(monkeypatch, tmp_path, capsys):
 
 
 def test_tables_are_for_people(monkeypatch, tmp_path, capsys):
-    file = scene_file(tmp_path, 'sg.Simulation(duration=0.1, stop={"late": 0.05 - q})')
+    units = '{"u": "rad/s", "tau": "N m", "psi": "1/s"}'
+    file = scene_file(tmp_path, f'sg.Simulation(duration=0.1, stop={{"late": 0.05 - q}}, units={units})')
     folder = tmp_path / "out"
     assert command(monkeypatch, file, "--no-plots", "--out", folder, "--start", "q=0", "--start", "u=1") == 0
-    printed = capsys.readouterr().out
-    assert "stopped by 'late' at t = 0.05" in " ".join(printed.split())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "stopped by 'late' at t = 0.05" in printed
+    for words in ("u [rad/s]", "tau [N m]", "largest |tau| 0 N m,", "by at most 0 1/s, at t = 0 s"):
+        assert words in printed
     assert [f.name for f in folder.iterdir()] == ["falls.csv"]
 
 
@@ -102,6 +113,49 @@ def test_a_negative_status_is_a_failure(monkeypatch, tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["stop"]["status"] == "OVERFLOW"
     assert told["rows"] == 0
+    for name in ("largest_tau", "smallest_sigma_min", "constraint_error", "constraint_error_t"):
+        assert told[name] is None
+
+
+def test_a_refusal_tells_what_was_changed_and_no_figures(monkeypatch, tmp_path, capsys):
+    file = scene_file(tmp_path, "sg.Simulation()")
+    assert command(monkeypatch, file, "--no-plots", "--out", tmp_path / "out", "--parameter", "M=-1") == 1
+    printed = capsys.readouterr().out
+    assert "SINGULAR_MASS" in printed
+    assert "parameters changed: M = -1" in printed
+    assert not re.search("largest|sigma_min|at most|quantity", printed)
+
+
+@pytest.mark.parametrize("moving", ["1.0", "[1.0]", "ca.sin"])
+def test_a_reference_of_the_command_goes_before_the_files(monkeypatch, tmp_path, capsys, moving):
+    start = '"start": {"q": 0, "u": 2}, "duration": 0.1, "outputs": {"r": ref.r}'
+    file = scene_file(tmp_path, f'sg.Simulation(references={{"r": {moving}}}, **{{{start}}})')
+    where = ("--json", "--no-plots", "--out", tmp_path / "out")
+    assert command(monkeypatch, file, *where, "--reference", "r=2") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["end"]["r"], told["end"]["psi"]) == (2.0, [0.0])
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "words"),
+    [
+        ("--reference", "heigth=1", "'heigth' is unknown; there are r"),
+        ("--start", "r=1", "'r' is unknown; there are q, u, tau"),
+        ("--parameter", "m=1", "'m' is unknown; there are M, k"),
+        ("--parameter", "M", "as in M=0.1"),
+        ("--parameter", "k=1,x", "as in k=0.1,0.1"),
+        ("--parameter", "k=1", "k has 1 entries; it must have 2"),
+        ("--parameter", "M=nan", "M = [nan] is not finite"),
+        ("--reference", "r=inf", "r = [inf] is not finite"),
+        ("--start", "u=-inf", "u = [-inf] is not finite"),
+    ],
+)
+def test_wrong_assignments_name_their_option(monkeypatch, tmp_path, capsys, option, given, words):
+    file = scene_file(tmp_path, "sg.Simulation()")
+    assert command(monkeypatch, file, "--json", "--out", tmp_path / "out", option, given) == 2
+    told = json.loads(capsys.readouterr().out)["error"]
+    assert told.startswith(option)
+    assert words in told
 
 
 @pytest.mark.parametrize(
@@ -113,6 +167,7 @@ def test_a_negative_status_is_a_failure(monkeypatch, tmp_path, capsys):
         ("spacecraft", "--parameter", "I_1=x"),
         ("spacecraft", "--scalar", "float16"),
         ("spacecraft", "--step", "-1"),
+        ("spacecraft", "--step", "5", "--duration", "1"),
     ],
 )
 def test_wrong_input_is_exit_code_two(monkeypatch, tmp_path, arguments):

@@ -6,18 +6,19 @@ from typing import Any
 
 import click
 import numpy as np
+from rich.markup import escape
 
 from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
 from servogen.cli.generate import scalar_option
 from servogen.errors import SceneError
 from servogen.loading import load_simulation
-from servogen.results import Status
+from servogen.results import STATUS_MEANING, FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import METHOD_NAMES, write_plots
-from servogen.simulate.simulation import METHODS
-from servogen.simulate.trajectory import Trajectory, rows_that_differ
+from servogen.simulate.simulation import METHODS, checked, run_takes
+from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.verify.harness import targets
 
 
@@ -69,15 +70,19 @@ def simulate_command(
     not the host's.
     """
     loaded, simulation = load_simulation(scene)
+    takes = run_takes(loaded)
+    changed = {
+        "start": _assignments(start, "--start", takes["start"]),
+        "references": _assignments(references, "--reference", takes["references"]),
+        "parameters": _assignments(parameters, "--parameter", takes["parameters"]),
+    }
+    simulation = simulation.holding(changed["references"])
     folder = out or Path("simulation") / loaded.name
     with progress(as_json) as advance:
         advance(0, 1, f"{loaded.name}: compiling")
-        given: dict[str, Any] = {
-            "start": _assignments(start, "--start"),
+        given: dict[str, Any] = changed | {
             "duration": duration,
             "step": step,
-            "references": _assignments(references, "--reference"),
-            "parameters": _assignments(parameters, "--parameter"),
             "hold": hold,
             "method": method,
             "project": not no_project,
@@ -95,25 +100,31 @@ def simulate_command(
         files = [write_csv(trajectory, folder / f"{loaded.name}.csv")]
         if not no_plots and len(trajectory.t):
             files += write_plots(loaded, simulation, trajectory, folder)
-    summary = _summary(trajectory, scalar) | {"target": target, "rows_unlike_the_hosts": differing}
+    summary = _summary(trajectory, scalar) | {
+        "target": target,
+        "rows_unlike_the_hosts": differing,
+        "units": dict(simulation.units),
+    }
     if as_json:
         emit_json(summary | {"files": files})
     else:
-        _show(trajectory, summary, files)
+        _show(trajectory, summary, changed, files)
     click.get_current_context().exit(FAILED if trajectory.stop.failed or differing else GOOD)
 
 
-def _assignments(given: Sequence[str], option: str) -> dict[str, list[float]]:
-    """NAME=1,2,3 as {NAME: [1.0, 2.0, 3.0]}."""
-    values: dict[str, list[float]] = {}
+def _assignments(given: Sequence[str], option: str, sizes: Mapping[str, int]) -> dict[str, FloatArray]:
+    """NAME=1,2,3 as {NAME: array of 1, 2, 3}, for the names and sizes that the option takes."""
+    values: dict[str, FloatArray] = {}
     for text in given:
-        name, equals, numbers = text.partition("=")
+        name, _, numbers = (part.strip() for part in text.partition("="))
         try:
-            values[name.strip()] = [float(x) for x in numbers.split(",")]
+            parsed = [float(x) for x in numbers.split(",")]
         except ValueError:
-            equals = ""
-        if not equals:
-            raise SceneError(f"{option} {text!r}; write NAME=NUMBERS, as in u=0.1,0.1,0.1")
+            if name in sizes:
+                example = ",".join(["0.1"] * sizes[name])
+                raise SceneError(f"{option} {text!r}; write NAME=NUMBERS, as in {name}={example}") from None
+            parsed = []
+        values |= checked({name: parsed}, sizes, option)
     return values
 
 
@@ -135,9 +146,10 @@ def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
         },
         "start": _ends(trajectory, 0) if some else {},
         "end": _ends(trajectory, -1) if some else {},
-        "largest_tau": float(np.max(np.abs(trajectory.tau))) if some else 0.0,
-        "smallest_sigma_min": float(np.min(trajectory.sigma_min)) if some else 0.0,
-        "constraint_error": float(np.max(np.abs(trajectory.constraint - trajectory.ideal))) if some else 0.0,
+        "largest_tau": float(np.max(np.abs(trajectory.tau))) if some else None,
+        "smallest_sigma_min": float(np.min(trajectory.sigma_min)) if some else None,
+        "constraint_error": trajectory.constraint_error[0] if some else None,
+        "constraint_error_t": trajectory.constraint_error[1] if some else None,
         "decay_error": trajectory.decay_error,
         "statuses": {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)},
     }
@@ -153,10 +165,37 @@ def _ends(trajectory: Trajectory, row: int) -> dict[str, Any]:
     return {n: v[row] for n, v in vectors.items()} | {n: float(v[row]) for n, v in trajectory.outputs.items()}
 
 
-def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Path]) -> None:
-    names = list(summary["start"])
-    rows = [(n, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n in names]
-    table(f"{trajectory.scene} ({summary['scalar']}): {trajectory.stop}", ("quantity", "start", "end"), rows)
+def _show(
+    trajectory: Trajectory,
+    summary: Mapping[str, Any],
+    changed: Mapping[str, Mapping[str, FloatArray]],
+    files: Sequence[Path],
+) -> None:
+    title = f"{trajectory.scene} ({summary['scalar']}): {trajectory.stop}"
+    if summary["rows"]:
+        _show_run(trajectory, summary, title)
+    else:
+        out.print(title, markup=False)
+        _show_refusal(trajectory, changed)
+    for file in files:
+        out.print(f"  wrote  {file}", markup=False, soft_wrap=True)
+
+
+def _show_refusal(trajectory: Trajectory, changed: Mapping[str, Mapping[str, FloatArray]]) -> None:
+    """A run without a row: whose status, and what of the scene's own values was changed."""
+    stop = trajectory.stop
+    out.print(f"  the {stop.reason} refused its start: {STATUS_MEANING[stop.status]}", markup=False)
+    for what, values in changed.items():
+        if values:
+            told = "; ".join(f"{n} = {_numbers(v)}" for n, v in values.items())
+            out.print(f"  {what} changed: {told}", markup=False)
+
+
+def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) -> None:
+    units = summary["units"]
+    names = {n: escape(f"{n} [{units[n]}]") if n in units else n for n in summary["start"]}
+    rows = [(shown, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n, shown in names.items()]
+    table(title, ("quantity", "start", "end"), rows)
     way = "one controller tick a step" if trajectory.hold else "controller in every stage"
     out.print(
         f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
@@ -165,17 +204,15 @@ def _show(trajectory: Trajectory, summary: Mapping[str, Any], files: Sequence[Pa
         differing = summary["rows_unlike_the_hosts"]
         same = "bit for bit the host's" if not differing else f"[bold red]{differing} unlike the host's[/]"
         out.print(f"  run on {summary['target']}: rows {same}")
-    psi = trajectory.constraint_name
-    out.print(f"  {psi} off its prescribed decay by at most {summary['constraint_error']:.3g}", markup=False)
+    out.print(f"  {trajectory.off_decay(units.get(trajectory.constraint_name))}", markup=False)
     for name, error in summary["decay_error"].items():
         out.print(f"  {name} off its ideal decay by at most {error:.3g} of it", markup=False)
+    largest = with_unit(summary["largest_tau"], units.get("tau"), 4)
+    statuses = ", ".join(f"{n} ({c})" for n, c in summary["statuses"].items())
     out.print(
-        f"  largest |tau| {summary['largest_tau']:.4g}, smallest sigma_min {summary['smallest_sigma_min']:.4g}, "
-        f"statuses {', '.join(f'{n} ({c})' for n, c in summary['statuses'].items()) or 'none'}",
+        f"  largest |tau| {largest}, smallest sigma_min {summary['smallest_sigma_min']:.4g}, statuses {statuses}",
         markup=False,
     )
-    for file in files:
-        out.print(f"  wrote  {file}", markup=False, soft_wrap=True)
 
 
 def _numbers(values: Any) -> str:

@@ -75,6 +75,19 @@ class Trajectory:
         return SYSTEMS[self.kind].constraint
 
     @property
+    def constraint_error(self) -> tuple[float, float]:
+        """The largest deviation of a constraint from its prescribed decay, and when; of a run that has rows."""
+        errors = np.max(np.abs(self.constraint - self.ideal), axis=1)
+        row = int(np.argmax(errors))
+        return float(errors[row]), float(self.t[row])
+
+    def off_decay(self, unit: str | None = None) -> str:
+        """constraint_error in words."""
+        error, t = self.constraint_error
+        told = with_unit(error, unit)
+        return f"{self.constraint_name} off its prescribed decay by at most {told}, at t = {t:.4g} s"
+
+    @property
     def decay_error(self) -> dict[str, float]:
         """By output, the largest relative deviation from what it ought to be."""
         tiny = np.finfo(float).tiny
@@ -97,6 +110,11 @@ class Trajectory:
         if self.kind != "controls":
             raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
         return self.constraint
+
+
+def with_unit(value: float, unit: str | None, digits: int = 3) -> str:
+    """A number with the digits that count, and its unit where there is one."""
+    return f"{value:.{digits}g} {unit}" if unit else f"{value:.{digits}g}"
 
 
 def rows_that_differ(a: Trajectory, b: Trajectory) -> int:
