@@ -25,6 +25,19 @@ def test_nothing_failed_and_nothing_comes_from_the_network(page):
     assert not re.search(r'(?:src|href)="https?:', page)
 
 
+def test_the_top_says_how_far_the_loop_was_off_and_what_passed_means(page):
+    line = re.search(r"<td>unicycle_path in closed loop</td>.*", page)[0]
+    assert re.search(r"finished at t = 10 s; psi off its prescribed decay by at most \S+, at t = \S+ s</td>", line)
+    assert "passed: no negative status ended the run" in page
+
+
+def test_figures_of_the_loop_have_their_units(page):
+    assert re.search(r"<th>largest control</th>.*>\S+ N m at the end, never above \S+ N m<", page)
+    assert re.search(r"<th>x</th>.*>\S+ m at the end, 2.6 m at the start<", page)
+    symbols = page[: page.index("How it moves")]
+    assert re.search(r"<td><code>u</code></td>.*<td>m/s, rad/s</td>", symbols)
+
+
 def test_it_says_what_the_scene_is_made_of_and_what_its_solver_costs(page):
     scene = load_scene("unicycle_path")
     for f in scene.parameters:

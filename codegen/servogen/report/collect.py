@@ -3,7 +3,7 @@
 import base64
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
 from servogen.simulate.precision import Precision, draw_precision, measure
 from servogen.simulate.simulation import Simulation
-from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.trajectory import Trajectory, with_unit
 from servogen.verify.check import CheckReport, check
 
 Progress = Callable[[int, int, str], None]
@@ -76,6 +76,7 @@ class SceneReport:
     mass: str
     call: str
     trajectory: Trajectory
+    off_decay: str  # how far the constraints were off their prescribed decay, and when
     ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
     decay_error: dict[str, float]
     motion: tuple[Figure, ...]
@@ -136,8 +137,8 @@ def collect(
     return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped), paper)
 
 
-def _symbols(scene: Scene) -> tuple[Symbol, ...]:
-    """The parameters with their defaults, and the inputs with what they are drawn from."""
+def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
+    """The parameters with their defaults, and the inputs with what they are drawn from; the states' units are given."""
 
     def numbers(values: Sequence[float]) -> str:
         return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
@@ -146,7 +147,8 @@ def _symbols(scene: Scene) -> tuple[Symbol, ...]:
     for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_BOX)).items():
         f = next(f for f in scene.input_fields() if f.name == name)
         kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
-        rows.append(Symbol(name, kind, f"{numbers(list(low))} to {numbers(list(high))}", f.unit, f.text))
+        unit = f.unit or units.get(name, "")
+        rows.append(Symbol(name, kind, f"{numbers(list(low))} to {numbers(list(high))}", unit, f.text))
     return tuple(rows)
 
 
@@ -181,7 +183,7 @@ def _scene_report(
     return SceneReport(
         name=scene.name,
         summary=scene_summary(spec),
-        symbols=_symbols(scene),
+        symbols=_symbols(scene, simulation.units),
         scene=scene,
         manifests={scalar: package.manifest for scalar, package in packages.items()},
         equations=equations(scene, formulation, packages["float64"].module),
@@ -189,6 +191,7 @@ def _scene_report(
         mass=formulation.mass.reason,
         call=_call(packages["float64"]),
         trajectory=trajectory,
+        off_decay=trajectory.off_decay(simulation.units.get(trajectory.constraint_name)),
         ending=_ending(trajectory, simulation),
         decay_error=trajectory.decay_error,
         motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
@@ -211,14 +214,17 @@ def _patterns(scene: Scene, program: Program) -> tuple[tuple[str, str], ...]:
 
 def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], ...]:
     """Each margin in words: the reason first, then the numbers a reader wants beside it."""
-    last, largest = float(np.max(np.abs(run.tau[-1]))), float(np.max(np.abs(run.tau)))
+    units = simulation.units
+    last, largest = (with_unit(float(np.max(np.abs(x))), units.get("tau")) for x in (run.tau[-1], run.tau))
     rows = [
         ("why the run ended", str(run.stop)),
         ("smallest singular value", f"{run.sigma_min[-1]:.3g} at the end, never below {np.min(run.sigma_min):.3g}"),
-        ("largest control", f"{last:.3g} at the end, never above {largest:.3g}"),
+        ("largest control", f"{last} at the end, never above {largest}"),
         ("rank", f"{run.rank[-1]} at the end, never below {np.min(run.rank)}"),
     ]
-    rows += [(name, f"{v[-1]:.4g} at the end, {v[0]:.4g} at the start") for name, v in run.outputs.items()]
+    for name, v in run.outputs.items():
+        last, first = (with_unit(float(x), units.get(name), 4) for x in (v[-1], v[0]))
+        rows.append((name, f"{last} at the end, {first} at the start"))
     watched = ", ".join(simulation.events)
     return (*rows, ("what would have ended it", watched or "nothing but the time"))
 

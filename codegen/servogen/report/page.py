@@ -64,7 +64,8 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
         text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
         rows.append(("The same vectors on an emulated Cortex-M4F", text, report.board.passed))
     for scene in report.scenes:
-        rows.append((f"{scene.name} in closed loop", str(scene.trajectory.stop), not scene.trajectory.stop.failed))
+        run = scene.trajectory
+        rows.append((f"{scene.name} in closed loop", f"{run.stop}; {scene.off_decay}", not run.stop.failed))
     return rows
 
 
