@@ -1,5 +1,6 @@
-"""What the README shows works as it stands."""
+"""What the README and the docs show works as it stands."""
 
+import json
 import re
 import subprocess
 import sys
@@ -7,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+PYTHON = (ROOT / "codegen" / "docs" / "python.md").read_text()
 
 
-def block(language: str) -> str:
-    return re.search(rf"```{language}\n(.*?)```", README, re.DOTALL).group(1)
+def block(language: str, text: str = README) -> str:
+    return re.search(rf"```{language}\n(.*?)```", text, re.DOTALL).group(1)
 
 
 @pytest.fixture
@@ -56,6 +59,16 @@ int main(void)
 def test_the_scene_passes_its_check(folder):
     done = servogen(folder, "check", "crane.py", "--states", "50")
     assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_the_simulation_of_the_docs_runs_as_they_say(tmp_path):
+    (tmp_path / "cart.py").write_text(block("python", PYTHON))
+    done = servogen(tmp_path, "simulate", "cart.py", "--no-plots", "--json")
+    assert done.returncode == 0, done.stderr + done.stdout
+    told = json.loads(done.stdout)
+    assert told["stop"]["event"] == "end of the track"
+    assert told["constraint_error"] < 1e-9
+    assert told["decay_error"]["lag"] < 1e-9
 
 
 def test_the_commands_it_names_exist(folder):
