@@ -14,6 +14,7 @@ from servogen.loading import builtin_names, load_simulation
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import check_simulation
+from servogen.simulate.trajectory import with_unit
 
 SCENE = """
 import casadi as ca
@@ -105,6 +106,11 @@ def test_tables_are_for_people(monkeypatch, tmp_path, capsys):
     for words in ("u [rad/s]", "tau [N m]", "largest |tau| 0 N m,", "by at most 0 1/s, at t = 0 s"):
         assert words in printed
     assert [f.name for f in folder.iterdir()] == ["falls.csv"]
+
+
+@pytest.mark.parametrize(("unit", "told"), [("N m", "1.23 N m"), ("N, N m", "1.23"), ("", "1.23"), (None, "1.23")])
+def test_a_unit_stands_where_it_is_one(unit, told):
+    assert with_unit(1.2345, unit) == told
 
 
 def test_a_negative_status_is_a_failure(monkeypatch, tmp_path, capsys):

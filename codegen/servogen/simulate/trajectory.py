@@ -113,8 +113,8 @@ class Trajectory:
 
 
 def with_unit(value: float, unit: str | None, digits: int = 3) -> str:
-    """A number with the digits that count, and its unit where there is one."""
-    return f"{value:.{digits}g} {unit}" if unit else f"{value:.{digits}g}"
+    """A number with the digits that count, and its unit; units of several entries ("N, N m") do not tell whose."""
+    return f"{value:.{digits}g} {unit}" if unit and "," not in unit else f"{value:.{digits}g}"
 
 
 def rows_that_differ(a: Trajectory, b: Trajectory) -> int:
