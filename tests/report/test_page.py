@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import servogen as sg
 from servogen.loading import load_scene
 from servogen.report.collect import collect
 from servogen.report.page import render_page
@@ -29,6 +30,18 @@ def test_the_top_says_how_far_the_loop_was_off_and_what_passed_means(page):
     line = re.search(r"<td>unicycle_path in closed loop</td>.*", page)[0]
     assert re.search(r"finished at t = 10 s; psi off its prescribed decay by at most \S+, at t = \S+ s</td>", line)
     assert "passed: no negative status ended the run" in page
+
+
+def test_a_start_that_is_refused_is_named(tmp_path):
+    file = tmp_path / "falls.py"
+    file.write_text(
+        "import casadi as ca\nimport servogen as sg\nq, u, tau = (ca.SX.sym(n) for n in ('q', 'u', 'tau'))\n"
+        "mech = sg.Mechanism(q=q, u=u, tau=tau, Q=1, P=0, G=1 / q)\n"
+        "scene = sg.Scene('falls', mech, [sg.Nonholonomic('n', u, Theta=-1.0)])\n"
+        "simulation = sg.Simulation(start={'q': 0})\n"
+    )
+    with pytest.raises(sg.SceneError, match=r"falls: the controller refused the simulation's start: .* not a finite"):
+        collect([str(file)], tmp_path, None, 20, 1, (), lambda *progress: None)
 
 
 def test_figures_of_the_loop_have_their_units(page):

@@ -18,6 +18,7 @@ from servogen.bench.run import bench
 from servogen.compiler import build, optimised_scene
 from servogen.derive.formulation import Quantity
 from servogen.derive.lower import lower_quantities
+from servogen.errors import SceneError
 from servogen.ir.program import Program
 from servogen.loading import load_simulation, scene_summary
 from servogen.optimise.passes import optimise
@@ -26,6 +27,7 @@ from servogen.report.equations import Equations, equations
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
 from servogen.report.sparsity import kinds, picture
+from servogen.results import STATUS_MEANING
 from servogen.scalars import EPSILON
 from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
@@ -169,6 +171,9 @@ def _scene_report(
     }
     say(f"{scene.name}: closed loop")
     trajectory = ClosedLoop(scene, simulation).run()
+    if not len(trajectory.t):
+        why = STATUS_MEANING[trajectory.stop.status]
+        raise SceneError(f"{scene.name}: the {trajectory.stop.reason} refused the simulation's start: {why}")
     write_csv(trajectory, own / "trajectory.csv")
     pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
     say(f"{scene.name}: run time against error")
