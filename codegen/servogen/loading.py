@@ -1,5 +1,6 @@
 """SCENE on the command line: a built-in name, or path/to/file.py[:variable]."""
 
+import difflib
 import importlib
 import importlib.util
 import pkgutil
@@ -66,10 +67,13 @@ def _load(spec: str) -> tuple[ModuleType, Scene]:
         return module, module.scene
     path, _, variable = spec.partition(":") if not Path(spec).exists() else (spec, "", "")
     file = Path(path)
+    if file.is_dir():
+        raise SceneError(f"{path} is a folder; give path/to/file.py or path/to/file.py:variable")
     if not file.is_file():
+        close = difflib.get_close_matches(spec, builtin_names(), 1)
         raise SceneError(
-            f"no scene {spec!r}: neither a built-in one ({', '.join(builtin_names())}) nor a file; "
-            "give path/to/file.py or path/to/file.py:variable"
+            f"no scene {spec!r}: {f'did you mean {close[0]}? It is ' if close else ''}neither a built-in one "
+            f"({', '.join(builtin_names())}) nor a file; give path/to/file.py or path/to/file.py:variable"
         )
     module = _run(file)
     return module, _scene_of(module, file, variable or None)
@@ -79,7 +83,7 @@ def _run(file: Path) -> ModuleType:
     name = f"servogen_scene_{file.stem}"
     loader = importlib.util.spec_from_file_location(name, file)
     if loader is None or loader.loader is None:
-        raise SceneError(f"{file} is no Python file; its name must end in .py")
+        raise SceneError(f"{file} is no .py file; give the Python file that defines the scene")
     module = importlib.util.module_from_spec(loader)
     sys.modules[name] = module  # so that a scene can define dataclasses
     sys.path.insert(0, str(file.parent))  # and import its neighbours

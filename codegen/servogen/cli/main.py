@@ -1,13 +1,16 @@
 """`servogen`: the command."""
 
+import errno
+import os
 import subprocess
 import sys
+import traceback
 from importlib import import_module
 from typing import NoReturn
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, WRONG_INPUT, complain, emit_json, show_warnings
+from servogen.cli.console import FAILED, GOOD, INTERNAL, WRONG_INPUT, complain, emit_json, show_warnings
 from servogen.errors import SceneError
 from servogen.simulate.board import BoardRunError
 from servogen.tools import ToolMissing
@@ -50,12 +53,12 @@ def cli() -> None:
     """From servo-constraints on a mechanical model, written in CasADi, to dependency-free C.
 
     SCENE is a built-in name (servogen list) or path/to/file.py[:variable].
-    Exit codes: 0 good, 1 a check failed, 2 wrong input.
+    Exit codes: 0 good, 1 a check failed, 2 wrong input, 3 an error of servogen itself.
     """
 
 
 def main() -> None:
-    """Run the command; wrong input ends in one line (with --json in one object) and exit code 2."""
+    """Run the command; whatever goes wrong ends in one line (with --json in one object) and its exit code."""
     show_warnings()
     try:
         # without its standalone mode click hands back the code of click.exceptions.Exit
@@ -66,13 +69,20 @@ def main() -> None:
         if not _as_json():
             error.show()
         _end(error.format_message(), WRONG_INPUT, said=not _as_json())
-    except (SceneError, ToolMissing, VectorsTooLarge, OSError) as error:
+    except (SceneError, ToolMissing, VectorsTooLarge) as error:
         _end(str(error), WRONG_INPUT)
+    except OSError as error:
+        _end(_refused(error), WRONG_INPUT)
     except (HarnessBuildError, CompilerRefused, BoardRunError) as error:
         _end(str(error), FAILED)
     except subprocess.CalledProcessError as error:
         said = error.stderr.decode(errors="replace") if isinstance(error.stderr, bytes) else error.stderr or ""
         _end(f"{error.cmd[0]} failed with exit code {error.returncode}\n{said.strip()}".strip(), FAILED)
+    except Exception as error:
+        if os.environ.get("SERVOGEN_TRACEBACK") == "1":
+            traceback.print_exc()
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        _end(f"{what}; please report it with what SERVOGEN_TRACEBACK=1 prints", INTERNAL, kind="internal error")
     sys.exit(code if isinstance(code, int) else GOOD)
 
 
@@ -81,11 +91,18 @@ def _as_json() -> bool:
     return "--json" in sys.argv[1:]
 
 
-def _end(message: str, code: int, said: bool = False) -> NoReturn:
+def _refused(error: OSError) -> str:
+    """What the system said, and the remedy where it did not let us write."""
+    if error.filename and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{error.filename}: {error.strerror}; name a folder that you may write to with --out"
+    return str(error)
+
+
+def _end(message: str, code: int, said: bool = False, kind: str = "error") -> NoReturn:
     if _as_json():
-        emit_json({"error": message})
+        emit_json({"error": message if kind == "error" else f"{kind}: {message}"})
     elif not said:
-        complain("error", message)
+        complain(kind, message)
     sys.exit(code)
 
 
