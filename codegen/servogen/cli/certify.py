@@ -12,8 +12,8 @@ from servogen.cli.console import (
     GOOD,
     all_option,
     chosen,
+    complain,
     emit_json,
-    err,
     json_option,
     out,
     progress,
@@ -21,6 +21,7 @@ from servogen.cli.console import (
     table,
     to_jsonable,
 )
+from servogen.errors import SceneError
 from servogen.loading import load_scene, scene_folder
 from servogen.report.certificates import render_certificates
 from servogen.verify import budget
@@ -59,13 +60,17 @@ def certify_command(
     as_json: bool,
 ) -> None:
     """Certify the generated C of SCENE... on emulated boards, in both scalars: instructions of each function (not
-    cycles), worst seen and proven, flash, stack, symbols, errors; and hold them to budget.toml, with 3 % of slack."""
+    cycles), worst seen and proven, flash, stack, symbols, errors; and hold them to budget.toml, with 3 % of slack.
+    A line names what has no entry there."""
     names = chosen(scenes, every)
+    if file is not None and not accept and not file.is_file():
+        raise SceneError(f"no budget {file}: name one that exists, or write it with --accept")
     where = BOARDS if "all" in boards else boards or ("cortex-m4",)
     for board in where:
         require_target(board)
     found: list[Certificate] = []
     over: list[str] = []
+    unheld: list[str] = []
     with progress(as_json) as advance, ProcessPoolExecutor(jobs) as pool:
         work = map(_certified, names, repeat(where)) if jobs == 1 else pool.map(_certified, names, repeat(where))
         for done, (name, certificates) in enumerate(zip(names, work, strict=True), start=1):
@@ -74,9 +79,12 @@ def certify_command(
             path = file or scene_folder(name) / budget.FILE
             if accept:
                 budget.accept(path, certificates)
-            over += [text for c in certificates for text in budget.exceeded(c, budget.read(path))]
+            budgets = budget.read(path)
+            over += [text for c in certificates for text in budget.exceeded(c, budgets)]
+            free = [c for c in certificates if not budget.limits_of(c, budgets)]
+            unheld += [f"{budget.name_of(c)} is not in {path}" for c in free]
     problems = [f"{c.prefix} on {c.target}: {text}" for c in found for text in c.problems] + over
-    result = {"passed": not problems, "problems": problems, "certificates": found}
+    result = {"passed": not problems, "problems": problems, "no_budget": unheld, "certificates": found}
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "certificates.json").write_text(json.dumps(to_jsonable(result), indent=2) + "\n")
@@ -84,7 +92,7 @@ def certify_command(
     if as_json:
         emit_json(result)
     else:
-        show(found, problems)
+        show(found, problems, unheld)
     raise click.exceptions.Exit(FAILED if problems else GOOD)
 
 
@@ -92,7 +100,7 @@ def _certified(name: str, boards: tuple[str, ...]) -> list[Certificate]:
     return certify(load_scene(name), boards)
 
 
-def show(found: list[Certificate], problems: list[str]) -> None:
+def show(found: list[Certificate], problems: list[str], unheld: list[str]) -> None:
     """The certificates as tables."""
     table(
         "Memory, in bytes: the package's code and constants, the compiler's arithmetic it calls, variables, stack",
@@ -113,5 +121,7 @@ def show(found: list[Certificate], problems: list[str]) -> None:
         right=(4, 5, 6, 7, 8, 9),
     )
     for text in problems:
-        err.print(f"[bold red]FAILED:[/] {text}", soft_wrap=True)
+        complain("FAILED", text)
+    for text in unheld:
+        complain("no budget held", f"{text}; --accept writes it")
     out.print("[bold red]not certified[/]" if problems else "[bold green]certified[/]")

@@ -5,8 +5,8 @@
     stack = 300                            # bytes, the deepest entry point
     instructions = { control = 1300 }      # the worst call seen
 
-A figure more than SLACK above its budget fails; a figure without a budget is free. `servogen certify --accept` writes
-the measured ones.
+A figure more than SLACK above its budget fails; a figure without a budget is free. `servogen certify` names what has
+no entry, and writes the measured figures with --accept.
 """
 
 import tomllib
@@ -39,20 +39,28 @@ def figures(certificate: Certificate) -> dict[str, Any]:
     }
 
 
+def name_of(certificate: Certificate) -> str:
+    """The header of its table: scene.board.scalar."""
+    return f"{certificate.scene}.{certificate.target}.{certificate.scalar}"
+
+
+def limits_of(certificate: Certificate, budgets: dict[str, Any]) -> dict[str, Any]:
+    """What the budgets limit of it; nothing where they have no entry."""
+    limits: dict[str, Any] = budgets.get(certificate.scene, {}).get(certificate.target, {}).get(certificate.scalar, {})
+    return limits
+
+
 def exceeded(certificate: Certificate, budgets: dict[str, Any]) -> list[str]:
     """What is more than SLACK above its budget; a limit on something that was not measured, too."""
-    where = (certificate.scene, certificate.target, certificate.scalar)
-    limits = budgets
-    for key in where:
-        limits = limits.get(key, {})
+    where = name_of(certificate)
     measured = _flat(figures(certificate))
     problems = []
-    for name, limit in _flat(limits).items():
+    for name, limit in _flat(limits_of(certificate, budgets)).items():
         value = measured.get(name)
         if value is None:
-            problems.append(f"{'.'.join(where)}.{name}: there is a budget, and nothing of that name was measured")
+            problems.append(f"{where}.{name}: there is a budget, and nothing of that name was measured")
         elif value > limit * (1 + SLACK):
-            problems.append(f"{'.'.join(where)}.{name}: {value}, {value / limit - 1:+.1%} of the budget {limit}")
+            problems.append(f"{where}.{name}: {value}, {value / limit - 1:+.1%} of the budget {limit}")
     return problems
 
 
@@ -67,7 +75,10 @@ def accept(path: Path, certificates: list[Certificate]) -> None:
             for scalar, limits in sorted(budgets[scene][target].items()):
                 lines += ["", f"[{scene}.{target}.{scalar}]"]
                 lines += [f"{key} = {_toml(value)}" for key, value in limits.items()]
-    path.write_text("\n".join(lines) + "\n")
+    try:
+        path.write_text("\n".join(lines) + "\n")
+    except PermissionError as error:
+        raise SceneError(f"{path}: {error.strerror}; name a file that you may write with --budget") from error
 
 
 def _flat(limits: dict[str, Any]) -> dict[str, int]:
