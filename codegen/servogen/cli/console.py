@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -52,13 +54,32 @@ def progress(quiet: bool) -> Iterator[Advance]:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
-    """Print a table; `right` are the columns of numbers."""
-    shown = Table(title=title, title_justify="left")
-    for k, name in enumerate(header):
-        shown.add_column(name, justify="right" if k in right else "left", overflow="fold")
-    for row in rows:
-        shown.add_row(*(str(cell) for cell in row))
-    out.print(shown)
+    """Print a table; `right` are the columns of numbers.
+
+    Where it is too wide, as few of its first columns as will do become headings of smaller tables: no word is split.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+
+    def grid(depth: int, rows: Sequence[Sequence[str]], title: str) -> Table:
+        shown = Table(title=title, title_justify="left")
+        for k, name in enumerate(header[depth:], start=depth):
+            prose = any(" " in row[k] for row in rows)
+            shown.add_column(name, justify="right" if k in right else "left", overflow="fold", no_wrap=not prose)
+        for row in rows:
+            shown.add_row(*row[depth:])
+        return shown
+
+    def fits(depth: int) -> bool:
+        return Measurement.get(out, unbounded, grid(depth, cells, "")).minimum <= out.width
+
+    unbounded = out.options.update(max_width=10_000)
+    depth = next(filter(fits, range(min(right, default=1))), 0)
+    if depth == 0:
+        out.print(grid(0, cells, title))
+        return
+    out.print(title, style="table.title", markup=False)
+    for heading, group in groupby(cells, key=lambda row: row[:depth]):
+        out.print(grid(depth, list(group), ", ".join(heading)))
 
 
 def emit_json(value: Any) -> None:
