@@ -1,5 +1,6 @@
 """The files of a package: valid C99 and C++, quiet under strict flags, no hidden doubles, the same bytes always."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -224,6 +225,29 @@ def test_nothing_of_this_machine_in_the_files(packages: list[sg.Package]) -> Non
             assert not re.search(r"[ \t]+$", text, re.MULTILINE), file
             assert "None" not in text.replace("None of", "")
             assert "{{" not in text
+
+
+def test_header_says_when_the_solver_damps() -> None:
+    """_pinv and control name REGULARISED where it can occur, and nowhere else; _pinv lists all its statuses."""
+
+    def said(solver: sg.Solver, name: str) -> dict[str, str]:
+        package = sg.build(dataclasses.replace(load_scene(name), solver=solver))
+        header = (package.path / f"{name}.h").read_text()
+        comment = r"/\*((?:(?!\*/).)*)\*/\s*int {}_{}\("
+        return {e: re.search(comment.format(name, e), header, re.DOTALL).group(1) for e in ("pinv", "control")}  # type: ignore[union-attr]
+
+    for name in ("spacecraft", "planar_arm_3r"):
+        plain, damped = said(sg.Solver(), name), said(sg.Solver(damping=0.02), name)
+        assert "amp" not in "".join(plain.values())
+        assert "below e = 0.02" in damped["pinv"]
+        for text in damped.values():
+            assert "REGULARISED" in text
+        for text in (plain["pinv"], damped["pinv"]):
+            assert set(re.findall(r"[A-Z_]{5,}", text)) - {"REGULARISED"} == {
+                "RANK_DEFICIENT_CONSISTENT",
+                "NONFINITE",
+                "OVERFLOW",
+            }
 
 
 def test_manifest(packages: list[sg.Package]) -> None:

@@ -100,7 +100,8 @@ int double_pendulum_energy_f32_z(const double_pendulum_energy_f32_model *model, 
 int double_pendulum_energy_f32_S_z(const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [2*1] of any S [1*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.

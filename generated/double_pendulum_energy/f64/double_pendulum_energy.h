@@ -100,7 +100,8 @@ int double_pendulum_energy_z(const double_pendulum_energy_model *model, const do
 int double_pendulum_energy_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [2*1] of any S [1*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_pinv(const double *S, double *S_pinv, double_pendulum_energy_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.

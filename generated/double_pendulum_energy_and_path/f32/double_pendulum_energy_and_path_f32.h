@@ -104,7 +104,8 @@ int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_
 int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [2*2] of any S [2*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_and_path_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.

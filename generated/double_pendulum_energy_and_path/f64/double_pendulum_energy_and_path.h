@@ -104,7 +104,8 @@ int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_mode
 int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [2*2] of any S [2*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.

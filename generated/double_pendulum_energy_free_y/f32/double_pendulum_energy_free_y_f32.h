@@ -106,7 +106,8 @@ int double_pendulum_energy_free_y_f32_z(const double_pendulum_energy_free_y_f32_
 int double_pendulum_energy_free_y_f32_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [2*1] of any S [1*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_free_y_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [2], y as in the scene; info may be NULL.

@@ -106,7 +106,8 @@ int double_pendulum_energy_free_y_z(const double_pendulum_energy_free_y_model *m
 int double_pendulum_energy_free_y_S_z(const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [2*1] of any S [1*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int double_pendulum_energy_free_y_pinv(const double *S, double *S_pinv, double_pendulum_energy_free_y_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [2], y as in the scene; info may be NULL.

@@ -101,7 +101,8 @@ int double_pendulum_ideal_f32_F(const double_pendulum_ideal_f32_model *model, co
 int double_pendulum_ideal_f32_R(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *R);
 
 /* The pseudo-inverse G+ [2*2] of any G [2*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with G_pinv untouched NONFINITE (NaN or infinity in G), OVERFLOW (G+ is not finite). */
 int double_pendulum_ideal_f32_pinv(const float *G, float *G_pinv, double_pendulum_ideal_f32_info *info);
 
 /* tau = G+ R, Eq. (16), [2]; info may be NULL.

@@ -93,7 +93,8 @@ int iiwa_pose_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double 
 int iiwa_pose_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [7*6] of any S [6*7]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 6. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 6), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int iiwa_pose_pinv(const double *S, double *S_pinv, iiwa_pose_info *info);
 
 /* tau = S+ z, Eq. (10), [7]; info may be NULL.

@@ -92,7 +92,8 @@ int iiwa_position_f32_z(const iiwa_position_f32_model *model, const iiwa_positio
 int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [7*3] of any S [3*7]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 3. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 3), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [7]; info may be NULL.

@@ -92,7 +92,8 @@ int iiwa_position_z(const iiwa_position_model *model, const iiwa_position_input 
 int iiwa_position_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [7*3] of any S [3*7]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 3. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 3), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info);
 
 /* tau = S+ z, Eq. (10), [7]; info may be NULL.

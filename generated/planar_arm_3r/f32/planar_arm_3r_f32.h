@@ -107,7 +107,8 @@ int planar_arm_3r_f32_z(const planar_arm_3r_f32_model *model, const planar_arm_3
 int planar_arm_3r_f32_S_z(const planar_arm_3r_f32_model *model, const planar_arm_3r_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [3*2] of any S [2*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int planar_arm_3r_f32_pinv(const float *S, float *S_pinv, planar_arm_3r_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.

@@ -107,7 +107,8 @@ int planar_arm_3r_damped_z(const planar_arm_3r_damped_model *model, const planar
 int planar_arm_3r_damped_S_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [3*2] of any S [2*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int planar_arm_3r_damped_pinv(const double *S, double *S_pinv, planar_arm_3r_damped_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [3], y as in the scene; info may be NULL.

@@ -105,7 +105,8 @@ int planar_arm_3r_weighted_z(const planar_arm_3r_weighted_model *model, const pl
 int planar_arm_3r_weighted_S_z(const planar_arm_3r_weighted_model *model, const planar_arm_3r_weighted_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [3*2] of any S [2*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int planar_arm_3r_weighted_pinv(const double *S, double *S_pinv, planar_arm_3r_weighted_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.

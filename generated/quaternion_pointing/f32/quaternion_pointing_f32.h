@@ -98,7 +98,8 @@ int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const 
 int quaternion_pointing_f32_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [3*3] of any S [3*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 3. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 3), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_pointing_f32_info *info);
 
 /* tau = S+ z, Eq. (10), [3]; info may be NULL.

@@ -117,7 +117,8 @@ int skewed_thrusters_f32_z(const skewed_thrusters_f32_model *model, const skewed
 int skewed_thrusters_f32_S_z(const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S, float *z);
 
 /* The pseudo-inverse S+ [8*6] of any S [6*8]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 6. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 6), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f32_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [8], y as in the scene; info may be NULL.

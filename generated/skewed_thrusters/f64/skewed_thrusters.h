@@ -117,7 +117,8 @@ int skewed_thrusters_z(const skewed_thrusters_model *model, const skewed_thruste
 int skewed_thrusters_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [8*6] of any S [6*8]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 6. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 6), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite), NOT_CONVERGED. */
 int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info *info);
 
 /* tau = y + S+ (z - S y), Eq. (10), [8], y as in the scene; info may be NULL.

@@ -98,7 +98,8 @@ int spacecraft_B(const spacecraft_model *model, const spacecraft_input *in, doub
 int spacecraft_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B);
 
 /* The pseudo-inverse A+ [3*1] of any A [1*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with A_pinv untouched NONFINITE (NaN or infinity in A), OVERFLOW (A+ is not finite). */
 int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info);
 
 /* tau' = A+ B, Eq. (54), [3]; info may be NULL.

@@ -98,7 +98,8 @@ int spacecraft_smooth_f32_B(const spacecraft_smooth_f32_model *model, const spac
 int spacecraft_smooth_f32_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B);
 
 /* The pseudo-inverse A+ [3*1] of any A [1*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with A_pinv untouched NONFINITE (NaN or infinity in A), OVERFLOW (A+ is not finite). */
 int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_f32_info *info);
 
 /* tau' = y + A+ (B - A y), Eq. (54), [3], y as in the scene; info may be NULL.

@@ -98,7 +98,8 @@ int spacecraft_smooth_B(const spacecraft_smooth_model *model, const spacecraft_s
 int spacecraft_smooth_A_B(const spacecraft_smooth_model *model, const spacecraft_smooth_input *in, double *A, double *B);
 
 /* The pseudo-inverse A+ [3*1] of any A [1*3]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 1. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 1), or
+   with A_pinv untouched NONFINITE (NaN or infinity in A), OVERFLOW (A+ is not finite). */
 int spacecraft_smooth_pinv(const double *A, double *A_pinv, spacecraft_smooth_info *info);
 
 /* tau' = y + A+ (B - A y), Eq. (54), [3], y as in the scene; info may be NULL.

@@ -102,7 +102,8 @@ int unicycle_path_z(const unicycle_path_model *model, const unicycle_path_input 
 int unicycle_path_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z);
 
 /* The pseudo-inverse S+ [2*2] of any S [2*2]; info may be NULL.
-   RANK_DEFICIENT_CONSISTENT: the rank is below 2. */
+   Returns OK, RANK_DEFICIENT_CONSISTENT (the rank is below 2), or
+   with S_pinv untouched NONFINITE (NaN or infinity in S), OVERFLOW (S+ is not finite). */
 int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info);
 
 /* tau = S+ z, Eq. (10), [2]; info may be NULL.
