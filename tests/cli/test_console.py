@@ -60,3 +60,16 @@ def test_a_narrow_table_says_what_its_parts_are(printed):
     assert lines[0] == "Costs"
     assert [line for line in lines if line in ("a", "b")] == ["a", "b"]
     assert page.count("1" * 25) == page.count("2" * 25) == 4
+
+
+def test_long_work_leaves_a_line_a_step_in_a_log(monkeypatch):
+    def said(*options, **more):
+        page = io.StringIO()
+        monkeypatch.setattr(console, "err", Console(file=page, highlight=False))
+        with console.progress(*options, **more) as advance:
+            for done, text in enumerate(("crane: generate", "crane: closed loop")):
+                advance(done, 2, text)
+        return page.getvalue()
+
+    assert said(False, logged=True) == "1 of 2: crane: generate\n2 of 2: crane: closed loop\n"
+    assert said(True, logged=True) == said(False) == ""

@@ -36,10 +36,12 @@ Advance = Callable[[int, int, str], None]
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Advance]:
-    """A bar on stderr: call the result with (done, total, what). Nothing where quiet or not at a terminal."""
+def progress(quiet: bool, logged: bool = False) -> Iterator[Advance]:
+    """A bar on stderr: call the result with (done, total, what). Nothing where quiet; off a terminal a line a call if
+    logged, else nothing."""
     if quiet or not err.is_terminal:
-        yield lambda done, total, text: None
+        lines = logged and not quiet
+        yield lambda done, total, text: complain(f"{done + 1} of {total}", text, "bold") if lines else None
         return
     columns = (
         TextColumn("{task.description}"),
@@ -106,9 +108,9 @@ def to_jsonable(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def complain(kind: str, text: str) -> None:
+def complain(kind: str, text: str, style: str = "bold red") -> None:
     """One line on stderr: what kind of remark it is, then its words as they are."""
-    err.print(f"[bold red]{kind}:[/] {escape(text)}", soft_wrap=True)
+    err.print(f"[{style}]{kind}:[/] {escape(text)}", soft_wrap=True)
 
 
 def show_warnings() -> None:

@@ -47,7 +47,7 @@ def report_command(
     except ToolMissing as missing:
         board = None
         skipped.append(f"the cross-check on the emulated Cortex-M4F: {missing}")
-    with progress(as_json) as advance:
+    with progress(as_json, logged=True) as advance:
         report = collect(names, folder, board, states, rounds, skipped, advance, peers)
     page = folder / "report.html"
     page.write_text(render_page(report), encoding="utf-8")
