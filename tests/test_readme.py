@@ -34,7 +34,8 @@ def test_the_scene_generates_and_the_c_compiles(folder, need_tool):
     assert done.returncode == 0, done.stderr
     (folder / "main.c").write_text(block("c") + MAIN)
     strict = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wshadow -Werror".split()
-    command = [need_tool("gcc", "gcc"), *strict, "-Icrane", "main.c", "crane/crane.c", "-lm", "-o", "main"]
+    named = re.search(r"^    (gcc .*?)(?: *#.*)?$", README, re.MULTILINE).group(1).split()
+    command = [need_tool("gcc", "gcc"), *strict, *named[1:], "-o", "main"]
     subprocess.run(command, cwd=folder, check=True)
     assert subprocess.run([folder / "main"], capture_output=True, text=True).returncode == 0
 

@@ -24,7 +24,8 @@ math_option = click.option(
     type=click.Choice(["own", "libm"]),
     default="own",
     show_default=True,
-    help="Where sin, cos and sqrt come from: the package itself, the same bits everywhere, or <math.h>.",
+    help="Where sin, cos and sqrt come from: the package itself, the same bits everywhere (off Arm sqrt is that of "
+    "<math.h>, an instruction; link -lm where the compiler calls it), or <math.h>.",
 )
 prefix_option = click.option("--prefix", help="Prefix of all C names; default the scene's name, and _f32 for float32.")
 
