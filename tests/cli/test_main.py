@@ -1,8 +1,10 @@
 """How the command ends: one line or one object, and an exit code, whatever happens."""
 
 import json
+import subprocess
 import sys
 
+import click
 import pytest
 from servogen.cli import main
 
@@ -76,3 +78,16 @@ def test_wrong_names_of_scenes(ends, monkeypatch, tmp_path, spec, words):
     code, _, err = ends("generate", spec)
     assert code == 2
     assert words in err
+
+
+def test_the_table_names_every_command() -> None:
+    context = click.Context(main.cli)
+    found = [main.cli.get_command(context, name) for name in main.COMMANDS]
+    assert [command and command.name for command in found] == list(main.COMMANDS)
+
+
+def test_who_generates_does_not_wait_for_plots() -> None:
+    """scipy and matplotlib took two of the three seconds before any command began."""
+    code = "import sys, servogen.cli.main, servogen.cli.generate; print(*{'scipy', 'matplotlib'} & set(sys.modules))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.split() == []

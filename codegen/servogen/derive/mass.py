@@ -31,7 +31,7 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     diagonal = _is_diagonal(Q)
     if not diagonal and not is_symmetric(scene, Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
-    _warn_of_signs(samples[: _SAMPLES // 4])
+    _warn_of_signs(scene, samples[: _SAMPLES // 4])
     if diagonal:
         return _solve_diagonal(Q, right, positive=_is_positive_definite(samples))
     if not _is_positive_definite(samples):
@@ -74,7 +74,16 @@ def is_symmetric(scene: Scene, matrix: Any) -> bool:
 
 
 def _is_positive_definite(samples: FloatArray) -> bool:
-    return all(bool(np.all(np.linalg.eigvalsh(value) > 0)) for value in samples)
+    return all(_smallest_eigenvalue(value) > 0 for value in samples)
+
+
+def _smallest_eigenvalue(value: FloatArray) -> float:
+    """Of a symmetric matrix brought to a diagonal of ones, which keeps all signs; NaN where it is not finite."""
+    if not np.all(np.isfinite(value)):
+        return np.nan
+    size = np.sqrt(np.abs(np.diag(value)))
+    size[size == 0] = 1
+    return float(np.min(np.linalg.eigvalsh(value / size / size[:, None])))
 
 
 def solve_square(matrix: Any, right: Any) -> Any:
@@ -102,14 +111,14 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
         )
 
 
-def _warn_of_signs(samples: FloatArray) -> None:
-    """samples: at the default parameters. No kinetic energy has another Q, but the method does not mind."""
-    smallest = np.array([np.min(np.linalg.eigvalsh(v)) if np.all(np.isfinite(v)) else np.inf for v in samples])
-    if np.any(smallest < 0):
+def _warn_of_signs(scene: Scene, samples: FloatArray) -> None:
+    """samples: at the default parameters. No kinetic energy has such a Q, but the method does not mind."""
+    wrong = sum(_smallest_eigenvalue(value) < 0 for value in samples)
+    if wrong:
         warnings.warn(
-            f"Q is not positive definite at {np.sum(smallest < 0)} of {len(samples)} states drawn from the domain (an "
-            f"eigenvalue is {np.min(smallest):.3g}), as a mass matrix is: check its signs, or narrow the domain",
-            stacklevel=6,
+            f"scene {scene.name!r}: Q is not positive definite at {wrong} of {len(samples)} states drawn from the "
+            "domain, as a mass matrix is; check its signs, or narrow the domain",
+            stacklevel=8,
         )
 
 

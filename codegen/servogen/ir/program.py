@@ -144,12 +144,15 @@ def _place(program: Program, k: int) -> str:
 
 
 def asked_once(function: Function) -> Function:
-    """The function, its answers kept with the program: passes ask the same of one program again and again."""
+    """The function, its answers kept with the program: passes ask the same of one program again and again.
+
+    An answer is shared by all who ask, so it must be immutable.
+    """
 
     @wraps(function)
     def kept(program: Program, *more: Hashable) -> Any:
         answers = vars(program).setdefault("answers", {})
-        key = (function.__name__, *more)
+        key = (function.__module__, function.__name__, *more)
         if key not in answers:
             answers[key] = function(program, *more)
         return answers[key]
@@ -165,11 +168,11 @@ def needed(program: Program) -> frozenset[int]:
 
 def live(program: Program, roots: Iterable[int]) -> set[int]:
     """The numbers of all instructions that the roots depend on, themselves included."""
-    needed = set(roots)
-    for k in range(max(needed, default=-1), -1, -1):
-        if k in needed:
-            needed.update(program.instrs[k].args)
-    return needed
+    alive = set(roots)
+    for k in range(max(alive, default=-1), -1, -1):
+        if k in alive:
+            alive.update(program.instrs[k].args)
+    return alive
 
 
 def rebuild(program: Program, order: Iterable[int], outputs: Iterable[Output] | None = None) -> Program:

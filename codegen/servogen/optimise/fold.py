@@ -9,7 +9,7 @@ from servogen.ir.numbers import as_fraction
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Output, Program
 
-ZERO, ONE = Fraction(0), Fraction(1)  # constants are compared with 0 and 1, which is faster
+ZERO, ONE = Fraction(0), Fraction(1)  # to make constants of; a comparison with the int is faster
 _LARGEST_UNROLLED_POWER = 16
 
 

@@ -17,7 +17,7 @@ def optimise(program: Program) -> Program:
         before = program
         for run in PASSES:
             found = run(program)
-            if found != program:
+            if found != program:  # else the old one, with what was asked of it
                 program = check_legal(found)
         if program == before:
             return program

@@ -202,9 +202,9 @@ class ReferenceIdeal(ReferenceTwin, IdealTwin):
         _, info = textbook_solver.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
         R = np.full(len(P), 0.0 if info.status >= 0 else np.nan)
         if info.rank > 0:
-            rows, right = _independent_rows(J, b, info.rank)
             from scipy.linalg import qr  # here, for it takes a third of the time to import servogen
 
+            rows, right = _independent_rows(J, b, info.rank)
             chosen = tuple(sorted(qr(rows, pivoting=True, mode="r")[1][: info.rank]))
             T, F = nonminimal_form(Q, P, rows, right, chosen)
             R = Q @ np.linalg.solve(T, F) - P
