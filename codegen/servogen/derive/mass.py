@@ -31,10 +31,12 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     diagonal = _is_diagonal(Q)
     if not diagonal and not is_symmetric(scene, Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
-    _warn_of_signs(scene, samples[: _SAMPLES // 4])
+    smallest = np.array([_smallest_eigenvalue(value) for value in samples])
+    _warn_of_signs(scene, smallest[: _SAMPLES // 4])
+    positive = bool(np.all(smallest > 0))
     if diagonal:
-        return _solve_diagonal(Q, right, positive=_is_positive_definite(samples))
-    if not _is_positive_definite(samples):
+        return _solve_diagonal(Q, right, positive)
+    if not positive:
         return _solve_lu(Q, right, "Q is symmetric but not positive definite over the domain")
     return _solve_ldlt(Q, right)
 
@@ -73,10 +75,6 @@ def is_symmetric(scene: Scene, matrix: Any) -> bool:
     return all(node[f"e{i}_{j}"] == node[f"e{j}_{i}"] for i in range(n) for j in range(i))
 
 
-def _is_positive_definite(samples: FloatArray) -> bool:
-    return all(_smallest_eigenvalue(value) > 0 for value in samples)
-
-
 def _smallest_eigenvalue(value: FloatArray) -> float:
     """Of a symmetric matrix brought to a diagonal of ones, which keeps all signs; NaN where it is not finite."""
     if not np.all(np.isfinite(value)):
@@ -111,12 +109,12 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
         )
 
 
-def _warn_of_signs(scene: Scene, samples: FloatArray) -> None:
-    """samples: at the default parameters. No kinetic energy has such a Q, but the method does not mind."""
-    wrong = sum(_smallest_eigenvalue(value) < 0 for value in samples)
+def _warn_of_signs(scene: Scene, smallest: FloatArray) -> None:
+    """smallest: eigenvalues at the default parameters. No kinetic energy has such a Q; the method does not mind."""
+    wrong = np.sum(smallest < 0)
     if wrong:
         warnings.warn(
-            f"scene {scene.name!r}: Q is not positive definite at {wrong} of {len(samples)} states drawn from the "
+            f"scene {scene.name!r}: Q is not positive definite at {wrong} of {len(smallest)} states drawn from the "
             "domain, as a mass matrix is; check its signs, or narrow the domain",
             stacklevel=8,
         )
