@@ -17,7 +17,7 @@ import numpy as np
 from servogen.bench import instructions
 from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.inputs import drawn
-from servogen.bench.results import LABELS, Output
+from servogen.bench.results import Output, labels
 from servogen.loading import load_scene
 from servogen.plan.solver import BITS
 from servogen.render.mathematics import NEAR, math_context
@@ -59,7 +59,7 @@ def against_casadi(scene: Scene, target: str = "cortex-m4", states: int = STATES
     ]
     calls = {}
     for output in OUTPUTS:
-        label = LABELS[scene.kind][output]
+        label = labels(scene.system)[output]
         calls[f"{label}|servogen"] = ours.calls[output].expression
         calls[f"{label}|{AS_EMITTED}"] = theirs.calls[output].expression
         calls[f"{label}|{MENDED}"] = theirs.calls[output].expression.replace("call_", "call_mended_")

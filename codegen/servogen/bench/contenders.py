@@ -12,7 +12,7 @@ import numpy as np
 
 from servogen.bench import user
 from servogen.bench.inputs import Inputs
-from servogen.bench.results import Output
+from servogen.bench.results import Output, labels
 from servogen.compiler import compile_scene, target_for
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input
@@ -27,12 +27,10 @@ BASELINE = "CasADi cse"
 
 _REAL = {"float64": "double", "float32": "float"}
 
-_SYSTEMS: dict[str, dict[Output, str]] = {
-    "servo": {Output.MATRIX: "S", Output.RIGHT: "z"},
-    "ideal": {Output.RIGHT: "R"},
-    "controls": {Output.MATRIX: "A", Output.RIGHT: "B"},
-}
-"""The entry points beside control."""
+
+def _parts(scene: Scene) -> dict[Output, str]:
+    """The entry points beside control."""
+    return {o: name for o, name in labels(scene.system).items() if o in (Output.MATRIX, Output.RIGHT)}
 
 
 @dataclass(frozen=True)
@@ -119,14 +117,13 @@ def servogen_c(
     left_out = "".join(f"_{word}" for word in "_".join(sorted(without)).split())
     p = f"{scene.name}_{'f64' if scalar == 'float64' else 'f32'}{left_out.lower()}"
     module = compile_scene(scene, target_for(scene.name, scalar, p), without)
-    assert module.control is not None
+    kernel = module.control
+    assert kernel is not None
     files = tuple(f for f in render(module) if f.name in (f"{p}.h", f"{p}.c"))
     calls = {
-        output: Call(f"{p}_{entry}(&model, &inputs[k], out)", f"{p}_{entry}")
-        for output, entry in _SYSTEMS[scene.kind].items()
+        output: Call(f"{p}_{entry}(&model, &inputs[k], out)", f"{p}_{entry}") for output, entry in _parts(scene).items()
     }
     calls[Output.ANSWER] = Call(f"{p}_control(&model, &inputs[k], out, 0)", f"{p}_control")
-    kernel = module.control.kernel
     if Output.MATRIX in calls:
         both, size = f"{scene.system.matrix}_{scene.system.right}", scene.rows * scene.controls
         calls[Output.SYSTEM] = Call(f"{p}_{both}(&model, &inputs[k], out, out + {size})", f"{p}_{both}")
@@ -285,7 +282,7 @@ def textbook(scene: Scene) -> PythonContender:
         return int(control.info.status), control.value
 
     calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
-        output: partial(part, name) for output, name in _SYSTEMS[scene.kind].items()
+        output: partial(part, name) for output, name in _parts(scene).items()
     }
     calls[Output.ANSWER] = answer
     return PythonContender("textbook twin", "float64", False, calls)
@@ -328,7 +325,7 @@ def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
         return 0, np.ravel(call(functions[output], state))
 
     calls: dict[Output, Callable[[Mapping[str, FloatArray]], Answer]] = {
-        output: partial(part, output) for output in _SYSTEMS[scene.kind]
+        output: partial(part, output) for output in _parts(scene)
     }
     calls[Output.ANSWER] = answer
     return PythonContender("CasADi VM, numpy", "float64", False, calls)

@@ -1,6 +1,6 @@
 """Error against the 50-digit truth, and what is answered at the boundary."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mpmath as mp
@@ -9,8 +9,8 @@ import numpy as np
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Boundary, Errors, Output
 from servogen.compiler import optimised_scene
-from servogen.derive.formulation import Weight
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
+from servogen.law.steps import STATE, Evaluate, Multiply, React, Solve
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
@@ -20,49 +20,54 @@ Truth = dict[Output, list[list[Any]]]
 
 
 def truth(scene: Scene, inputs: Inputs) -> Truth:
-    """S, z (or R) by the unoptimised program's 50-digit interpreter, and tau by exact elimination with them."""
+    """S, z (or R) by the unoptimised program's 50-digit interpreter, and tau by the law's steps, exactly."""
     formulation, program = optimised_scene(scene)
-    matrix, right = scene.system.matrix, scene.system.right
-    weight = formulation.weight
-    factorised = formulation.factorised
+    system, control = scene.system, formulation.law.routine("control")
     columns = inputs.columns()
-    l = scene.controls
-    columns["tau"] = columns.get("tau", np.zeros((1, l)))  # a servo scene's program could read it, but none does
+    columns["tau"] = columns.get("tau", np.zeros((1, scene.controls)))  # read by no servo scene, but an input
     result: Truth = {output: [] for output in Output}
-    for k, exact in enumerate(evaluate_exactly(program.exact, columns)):
-        S, z = exact[matrix], _reaction(exact) if scene.kind == "ideal" else exact[right]
-        if weight is not None:
-            answer = _weighted(exact, z, factorised, weight, l)
-        elif scene.y is None:
-            answer = _minimum_norm(S, z, [mp.mpf(0)] * l)
-        else:
-            answer = _minimum_norm(S, z, exact.get("y") or [mp.mpf(float(v)) for v in columns["y"][k]])
+    for k, values in enumerate(evaluate_exactly(program.exact, columns)):
+        for name, _ in formulation.law.inputs:
+            values[STATE + name] = [mp.mpf(float(v)) for v in columns[name][k if len(columns[name]) > 1 else 0]]
+        for step in control.steps:
+            if not isinstance(step, Evaluate):
+                values[step.into] = _EXACT[type(step)](step, values)
+        S, z = values[system.matrix], values[system.right]
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
         result[Output.SYSTEM].append([*S, *z])
-        result[Output.ANSWER].append(answer)
+        result[Output.ANSWER].append(values[control.result])
     return result
 
 
-def _reaction(exact: dict[str, list[Any]]) -> list[Any]:
-    """R = J^T (J Q^-1 J^T)^-1 (b - J Q^-1 P), Eq. (17); NaN where the rows of J are dependent."""
-    right, entries = exact["reaction_right"], exact["reaction_matrix"]
-    m, n = len(right), len(exact["J"]) // len(right)
+Values = dict[str, list[Any]]
+
+
+def _react(step: React, values: Values) -> list[Any]:
+    """J^T M^-1 right, Eq. (17); NaN where the rows of J are dependent."""
+    right, entries, jacobian = values[step.right], values[step.matrix], values[step.jacobian]
+    m, n = len(right), len(jacobian) // len(right)
     with mp.workdps(DIGITS):
-        if not all(mp.isfinite(x) for x in (*entries, *right, *exact["J"])):
+        if not all(mp.isfinite(x) for x in (*entries, *right, *jacobian)):
             return [mp.nan] * n
         try:
             force = mp.lu_solve(mp.matrix([entries[m * i : m * (i + 1)] for i in range(m)]), mp.matrix(right))
         except ZeroDivisionError:
             return [mp.nan] * n
-        return [mp.fsum(exact["J"][n * i + c] * force[i] for i in range(m)) for c in range(n)]
+        return [mp.fsum(jacobian[n * i + c] * force[i] for i in range(m)) for c in range(n)]
 
 
-def _weighted(exact: dict[str, list[Any]], right: list[Any], factorised: str, weight: Weight, l: int) -> list[Any]:
-    """L^-T times the minimum norm in L^T tau."""
-    sigma = _minimum_norm(exact[factorised], right, exact.get("y_w", [mp.mpf(0)] * l))
+def _solve(step: Solve, values: Values) -> list[Any]:
+    l = len(values[step.matrix]) // len(values[step.right])
+    return _minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [mp.mpf(0)] * l))
+
+
+def _multiply(step: Multiply, values: Values) -> list[Any]:
     with mp.workdps(DIGITS):
-        return [mp.fsum(exact["recover"][e] * sigma[j] for e, j in row) for row in weight.pattern]
+        return [mp.fsum(values[step.entries][e] * values[step.vector][j] for e, j in row) for row in step.pattern]
+
+
+_EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {React: _react, Solve: _solve, Multiply: _multiply}
 
 
 def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:

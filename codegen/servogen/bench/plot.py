@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatter
 
-from servogen.bench.results import LABELS, Bench, Measurement, Output
+from servogen.bench.results import Bench, Measurement, Output
 
 OURS, THEIRS, PARETO = "#b3261e", "#3b5b7a", "#8a8a8a"
 _DASHES = {"float64": "o", "float32": "s"}
@@ -109,7 +109,8 @@ def _title(bench: Bench, output: Output) -> str:
         Output.SYSTEM: "matrix and right side at once",
         Output.ANSWER: "the answer, with everything before it",
     }
-    return f"{LABELS[bench.kind][output]}: {words[output]}"
+    label = next(m.label for m in bench.measurements if m.output == output)
+    return f"{label}: {words[output]}"
 
 
 def _markers(axes: Any, rows: Sequence[Measurement], top: float) -> None:

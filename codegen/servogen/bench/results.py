@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from servogen.scalars import Scalar
+from servogen.scene.system import System
 
 
 class Output(StrEnum):
@@ -19,11 +20,11 @@ class Output(StrEnum):
     ANSWER = "answer"
 
 
-LABELS: dict[str, dict[Output, str]] = {
-    "servo": {Output.MATRIX: "S", Output.RIGHT: "z", Output.SYSTEM: "S, z", Output.ANSWER: "tau"},
-    "ideal": {Output.RIGHT: "R", Output.ANSWER: "tau"},
-    "controls": {Output.MATRIX: "A", Output.RIGHT: "B", Output.SYSTEM: "A, B", Output.ANSWER: "tau'"},
-}
+def labels(system: System) -> dict[Output, str]:
+    """What is judged of a system, by the paper's names: not a matrix that the user gave."""
+    own = {Output.MATRIX: system.matrix, Output.RIGHT: system.right, Output.SYSTEM: f"{system.matrix}, {system.right}"}
+    judged = {Output.RIGHT: system.right} if system.matrix_is_given else own
+    return {**judged, Output.ANSWER: system.symbol}
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from servogen.bench.contenders import (
 from servogen.bench.driver import Driver, built, compile_driver, compiler_version, default_compiler
 from servogen.bench.error import count_answers, judge, truth
 from servogen.bench.inputs import Inputs, at_the_boundary, drawn
-from servogen.bench.results import LABELS, Bench, Instructions, Measurement
+from servogen.bench.results import Bench, Instructions, Measurement, labels
 from servogen.bench.timing import BATCH, Key, sample, summarise
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
@@ -83,7 +83,7 @@ def bench(
             scalar=c.scalar,
             ours=c.ours,
             output=output,
-            label=LABELS[scene.kind][output],
+            label=labels(scene.system)[output],
             times=times[c.name, output],
             errors=judge(answers[c.name, output][0], truths[c.scalar][output], c.scalar),
             instructions=counts.get((c.name, output)),

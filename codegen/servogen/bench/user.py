@@ -25,9 +25,12 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
     (16)-(17). ldlt: Q is factorised once, as an expert would, and solved with for the rows of psi_u; else `ca.solve`
     does what it does.
     """
-    S, z = (
-        _servo(scene, ldlt) if scene.kind == "servo" else _ideal(scene) if scene.kind == "ideal" else _controls(scene)
-    )
+    if scene.system.tau_is_state:
+        S, z = _controls(scene)
+    elif scene.system.matrix_is_given:
+        S, z = _ideal(scene)
+    else:
+        S, z = _servo(scene, ldlt)
     inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
@@ -36,7 +39,7 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
     system = ca.vertcat(ca.vec(ca.densify(S).T), z)
     found = {Output.MATRIX: S, Output.RIGHT: z, Output.SYSTEM: system, Output.ANSWER: tau}
-    if scene.kind == "ideal":
+    if scene.system.matrix_is_given:
         del found[Output.MATRIX], found[Output.SYSTEM]  # G, as the user wrote it
     return {output: ca.densify(expression) for output, expression in found.items()}
 

@@ -19,10 +19,10 @@ from servogen.cli.console import (
     table,
 )
 from servogen.loading import load_scene
+from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets
-from servogen.verify.truth import BAR
 
 
 @click.command("check")

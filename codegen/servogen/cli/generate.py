@@ -12,6 +12,7 @@ from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
+from servogen.scene.system import System
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."
@@ -40,9 +41,12 @@ def list_scenes(as_json: bool) -> None:
             [{"name": n, "kind": s.kind, "m": s.rows, "l": s.controls, "text": t} for n, (s, t) in scenes.items()]
         )
         return
-    systems = {"servo": "S tau = z", "ideal": "G tau = R", "controls": "A tau' = B"}
-    rows = [(n, f"{s.rows}x{s.controls}", systems[s.kind], t) for n, (s, t) in scenes.items()]
+    rows = [(n, f"{s.rows}x{s.controls}", _in_words(s.system), t) for n, (s, t) in scenes.items()]
     table("Built-in scenes", ("name", "shape", "system", "what it is"), rows)
+
+
+def _in_words(system: System) -> str:
+    return f"{system.matrix} {system.symbol} = {system.right}"
 
 
 @click.command()

@@ -1,16 +1,26 @@
 """Controls-involved servo-constraints: A tau' = B, Eqs. (36)-(41)."""
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 
+from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, Quantity
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.rates import rate
 from servogen.derive.servo import free_quantities
 from servogen.derive.weight import weigh
+from servogen.law.law import Law, Routine
+from servogen.law.steps import STATE, SYSTEM, Advance, Call, Project
 from servogen.scene.constraints import ControlsInvolved
 from servogen.scene.scene import Scene
+
+BENT_CAP = 25
+"""Steps of a projection where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
+
+AFFINE_CAP = 2
+"""Steps of a projection where it is: one is exact, another takes back the rounding of a start far away."""
 
 
 def derive_controls(scene: Scene) -> Formulation:
@@ -42,7 +52,34 @@ def derive_controls(scene: Scene) -> Formulation:
     bends, places = curvature(phi, mech.tau)
     if places:
         quantities.append(Quantity("curvature", bends, "Eq. (36)", "phi_tau_tau, its nonzeros"))
-    return Formulation(scene, tuple(quantities), mass, weight=weight, curvature=places)
+    law = controlling(scene, quantities, weight, entries=(("phi",), ("A",), ("B",), ("A", "B")))
+    law = _with_projection(law, scene.controls, places)
+    return Formulation(scene, tuple(quantities), mass, law, weight)
+
+
+def _with_projection(law: Law, l: int, places: tuple[tuple[int, int, int], ...]) -> Law:
+    """project, the nearest tau with phi = 0, and step: tau advanced along tau' and projected."""
+    nearest = Project(
+        "tau",
+        SYSTEM,
+        of=f"{STATE}tau",
+        value="phi",
+        matrix="A",
+        cap=BENT_CAP if places else AFFINE_CAP,
+        curvature="curvature" if places else "",
+        places=places,
+    )
+    tick = (
+        Call("tau_dot", "control"),
+        Advance("moved", of=f"{STATE}tau", rate="tau_dot", dt="dt"),
+        Call("tau", "project", moved=("tau", "moved")),
+    )
+    routines = (
+        *law.routines,
+        Routine("project", (nearest,), "tau"),
+        Routine("step", tick, "tau", arguments=(("dt", (1, 1)),)),
+    )
+    return replace(law, inputs=(*law.inputs, ("tau", (l, 1))), routines=routines)
 
 
 def curvature(phi: Any, tau: Any) -> tuple[Any, tuple[tuple[int, int, int], ...]]:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+from servogen.law.law import Law
+from servogen.law.steps import SYSTEM
 from servogen.scene.scene import Scene
 
 
@@ -45,21 +47,18 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """The quantities of the scene's linear system and what belongs to it.
-
-    curvature: the (row of phi, i, j) of each entry of the quantity of that name; empty where phi is affine in tau.
-    """
+    """The quantities of the scene's linear system, and the law that makes the controls of them."""
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
+    law: Law
     weight: Weight | None = None
-    curvature: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def factorised(self) -> str:
-        """The matrix the solver gets: the system's own, or that times L^-T where there is a weight."""
-        return self.scene.system.matrix if self.weight is None else f"{self.scene.system.matrix}_w"
+        """The matrix the scene's solver gets: the system's own, or that times L^-T where there is a weight."""
+        return self.law.matrix_of(SYSTEM)
 
     def __getitem__(self, name: str) -> Any:
         """The SX of the quantity of that name."""

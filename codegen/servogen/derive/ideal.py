@@ -1,18 +1,22 @@
 """Ideal control forces: G tau = R with the reaction R of an ideal passive constraint, Eqs. (13)-(17), (26)."""
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, Quantity
 from servogen.derive.mass import sample, solve_square, solve_with_mass
 from servogen.derive.servo import constraint_rows, free_quantities
 from servogen.derive.weight import weigh
+from servogen.law.law import Routine
+from servogen.law.steps import Evaluate, React
 from servogen.scene.scene import Scene
 
-REACTION = ("reaction_matrix", "reaction_right", "J")
-"""The quantities R is made of: R = J^T reaction_matrix^+ reaction_right."""
+_REACT = React("R", "reaction", "reaction_matrix", "reaction_right", "J")
+_REACTION = ("reaction_matrix", "reaction_right", "J")
 
 
 def derive_ideal(scene: Scene) -> Formulation:
@@ -34,7 +38,11 @@ def derive_ideal(scene: Scene) -> Formulation:
         Quantity("G", mech.G, "Eq. (2)", "G"),
         *free_quantities(scene, mech.G, "G", "Eq. (16)", weight),
     ]
-    return Formulation(scene, tuple(quantities), mass, weight=weight)
+    reaction = Routine("R", (Evaluate(_REACTION), _REACT), "R", info=False)
+    entries = (("psi",), ("T",), ("F",))
+    law = controlling(scene, quantities, weight, entries, before=(_REACT,), routines=(reaction,))
+    law = replace(law, solvers=(*law.solvers, ("reaction", (scene.rows, scene.rows))))
+    return Formulation(scene, tuple(quantities), mass, law, weight)
 
 
 def dependent_columns(scene: Scene, J: Any) -> tuple[int, ...]:

@@ -4,6 +4,7 @@ from typing import Any
 
 import casadi as ca
 
+from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, Quantity, Weight
 from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
@@ -31,7 +32,8 @@ def derive_servo(scene: Scene) -> Formulation:
         Quantity("z", z, *words["z"], needs_mass=True),
         *free_quantities(scene, S, "S", "Eq. (10)", weight),
     ]
-    return Formulation(scene, tuple(quantities), mass, weight=weight)
+    law = controlling(scene, quantities, weight, entries=(("psi",), ("S",), ("z",), ("S", "z")))
+    return Formulation(scene, tuple(quantities), mass, law, weight)
 
 
 def constraint_rows(scene: Scene, gauge: Gauge | None = None) -> tuple[Any, Any, Any, Any]:

@@ -25,8 +25,10 @@ def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | No
         return None
     constants = [part.instrs[n].const for n in part.output(result.name).nodes]
     if all(isinstance(c, Fraction) for c in constants):
-        return _at_generation(constants, solver)
-    return Known("prepare", kernel=Kernel(f"known_{result.name}", _renamed(part, f"known_{result.name}"), (result,)))
+        return _at_generation(result.name, constants, solver)
+    return Known(
+        result.name, "prepare", kernel=Kernel(f"known_{result.name}", _renamed(part, f"known_{result.name}"), (result,))
+    )
 
 
 def known_operations(solver: SolverPlan, free: bool) -> dict[str, Operations]:
@@ -40,7 +42,7 @@ def _renamed(program: Program, name: str) -> Program:
     return Program(name, program.inputs, program.instrs, program.outputs)
 
 
-def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
+def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> Known:
     """Exact rationals, or 50 digits where the solver's tolerances or damping ask for another answer than the exact one.
 
     Nothing printed depends on the host's LAPACK.
@@ -57,4 +59,4 @@ def _at_generation(constants: list[Any], solver: SolverPlan) -> Known:
         columns = [pseudo_solution(counted, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
         numbers = [Fraction(float(column[i])) for i in range(l) for column in columns]
     sigma_min = smallest_singular_value(values) if exact.rank(matrix) == min(m, l) else 0.0
-    return Known("generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)
+    return Known(name, "generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)

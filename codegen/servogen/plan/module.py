@@ -1,5 +1,6 @@
 """What the planner decides and the printer prints: every name, shape, literal and statement order of one package."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import groupby
@@ -8,6 +9,8 @@ from typing import Any, Literal
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.ir.telling import told_inputs, watched_outputs
+from servogen.law.law import Law
+from servogen.law.steps import SYSTEM, Apply, Solve
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
@@ -98,12 +101,13 @@ class EntryPoint:
 
 @dataclass(frozen=True)
 class Known:
-    """The matrix to solve with does not depend on the state, and its pseudo-inverse is at hand at each tick.
+    """The matrix of the scene's system does not depend on the state, and its pseudo-inverse is at hand at each tick.
 
-    when "generation": matrix and inverse are exact numbers, row by row. when "prepare": `kernel` computes the matrix
-    from the model, and prepare its pseudo-inverse.
+    name: of the quantity. when "generation": matrix and inverse are exact numbers, row by row. when "prepare":
+    `kernel` computes the matrix from the model, and prepare its pseudo-inverse.
     """
 
+    name: str
     when: Literal["generation", "prepare"]
     matrix: tuple[Fraction, ...] = ()
     inverse: tuple[Fraction, ...] = ()
@@ -111,40 +115,6 @@ class Known:
     rank: int = 0
     sigma_min: float = 0.0
     kernel: Kernel | None = None
-
-
-@dataclass(frozen=True)
-class Reaction:
-    """R = J^T reaction_matrix^+ reaction_right, Eq. (17): what an ideal passive constraint would do."""
-
-    kernel: Kernel
-    solver: SolverPlan
-    size: int  # n
-
-
-@dataclass(frozen=True)
-class ControlPlan:
-    """control, and for controls-involved scenes project and step.
-
-    system: the names. matrix: what the solver gets for system.matrix (S_w where there is a weight).
-    y: None, "expression" (from the kernel, by the name `free`) or "input".
-    recover: with a weight, per row of L^-T the (place in the kernel's `recover`, column) of its nonzeros.
-    known: the matrix does not depend on the state. reaction: the right side is that of ideal control forces.
-    projection: the kernel of phi, A and, where phi is not affine in tau, its second derivatives by tau, where project
-    and step are asked for. curvature: the (row of phi, i, j <= i) of each of these.
-    """
-
-    kernel: Kernel
-    system: System
-    matrix: str
-    y: str | None
-    free: str = "y"
-    recover: tuple[tuple[tuple[int, int], ...], ...] = ()
-    known: Known | None = None
-    reaction: Reaction | None = None
-    projection: Kernel | None = None
-    projection_cap: int = 0
-    curvature: tuple[tuple[int, int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -158,7 +128,11 @@ class Prepare:
 
 @dataclass(frozen=True)
 class Module:
-    """One package of C, ready to print."""
+    """One package of C, ready to print.
+
+    law: what happens between the kernels. system: the names of what it solves, None where it solves no scene's.
+    solvers: the plans of the law's solvers, by name. known: how the matrix of an Apply is at hand.
+    """
 
     scene: str
     target: Target
@@ -169,10 +143,38 @@ class Module:
     prepare: Prepare
     kernels: tuple[Kernel, ...]
     entry_points: tuple[EntryPoint, ...]
-    control: ControlPlan | None
-    solver: SolverPlan | None
+    law: Law
     mass_tolerance: float
+    system: System | None = None
+    solvers: Mapping[str, SolverPlan] = field(default_factory=dict)
+    known: Known | None = None
     skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def solver(self) -> SolverPlan | None:
+        """The plan of the solver that `info` is about."""
+        return self.solvers.get(SYSTEM)
+
+    def kernel(self, names: Sequence[str]) -> Kernel:
+        """The kernel that hands out these quantities. KeyError where there is none."""
+        label = "_".join(names)
+        for found in self.kernels:
+            if found.name == label:
+                return found
+        raise KeyError(f"no kernel {label!r} in {self.scene}")
+
+    @property
+    def control(self) -> Kernel | None:
+        """The kernel of the control function; None in a package that has no such function."""
+        return self.kernel(self.law.routine("control").evaluated()) if self.law.has("control") else None
+
+    @property
+    def free(self) -> Literal["input", "expression"] | None:
+        """Where y of the answer comes from in the user's words: weighted, an input is an expression to the solver."""
+        answers = [s for s in self.law.steps() if isinstance(s, Solve | Apply) and s.solver == SYSTEM]
+        if self.system is None or not any(s.free for s in answers):
+            return None
+        return "input" if any(f.name == "y" for f in self.inputs) else "expression"
 
     @property
     def needs_libm(self) -> bool:

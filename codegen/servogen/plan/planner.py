@@ -5,24 +5,15 @@ import hashlib
 from collections.abc import Sequence
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
-from servogen.derive.ideal import REACTION
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
+from servogen.law.law import Law, Routine, check_legal
+from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Project, Solve, Step, handed_out
 from servogen.plan.chunks import split
 from servogen.plan.known import plan_known
 from servogen.plan.mathematics import Math, pair_angles
-from servogen.plan.module import (
-    ControlPlan,
-    EntryPoint,
-    Kernel,
-    Module,
-    Prepare,
-    Reaction,
-    Result,
-    StructField,
-    Target,
-)
+from servogen.plan.module import EntryPoint, Kernel, Known, Module, Prepare, Result, StructField, Target
 from servogen.plan.noise import row_noise
 from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
@@ -33,27 +24,22 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field
 from servogen.scene_program import SceneProgram
 
-PROJECTION_CAP = 25
-"""Iterations of project where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
-
-AFFINE_CAP = 2
-"""Iterations of project where it is: one is exact, another takes back the rounding of a start far away."""
-
 
 def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> Module:
     """Every decision about the C of one scene."""
     scene, program = formulation.scene, optimised.program
     staged = stage(program)
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
-    system = scene.system
-    names = (system.constraint, "T", "F") if scene.kind == "ideal" else (system.constraint, system.matrix, system.right)
-    entry_points = [EntryPoint(name, cutter.kernel(name)) for name in names]
-    if scene.kind != "ideal":
-        entry_points.append(EntryPoint(f"{system.matrix}_{system.right}", cutter.kernel(system.matrix, system.right)))
-    solver = dataclasses.replace(plan_scene_solver(formulation, optimised, target.scalar), root=_root(target))
-    control = _plan_control(formulation, staged, cutter, solver)
-    always = ({"tau"} if system.tau_is_state else set()) | ({"y"} if control.y == "input" else set())
-    inputs = _used(scene.input_fields(), staged.tick, always)
+    entry_points = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in formulation.law.entries]
+    solvers = _plan_solvers(formulation, optimised, target)
+    known = _plan_known(formulation.law, staged, cutter, solvers[SYSTEM])
+    law = check_legal(_at_hand(formulation.law, known.name) if known is not None else formulation.law)
+    for step in law.steps():
+        if isinstance(step, Evaluate | Project):
+            cutter.kernel(*handed_out(step))
+    if known is not None and known.kernel is not None:
+        cutter.add(known.kernel)
+    inputs = _used(scene.input_fields(), staged.tick, {name for name, _ in law.inputs})
     return Module(
         scene=scene.name,
         target=target,
@@ -64,11 +50,46 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
         prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=tuple(entry_points),
-        control=control,
-        solver=solver,
+        law=law,
         mass_tolerance=_mass_tolerance(scene, target.scalar),
-        skipped=what_is_skipped(formulation, optimised, control, solver, inputs, staged),
+        system=scene.system,
+        solvers=solvers,
+        known=known,
+        skipped=what_is_skipped(formulation, optimised, law, known, solvers[SYSTEM], inputs, staged),
     )
+
+
+def _plan_solvers(formulation: Formulation, optimised: SceneProgram, target: Target) -> dict[str, SolverPlan]:
+    """The law's solvers; tolerances per row, and damping, are the user's for the scene's own system alone."""
+    own = plan_scene_solver(formulation, optimised, target.scalar)
+    users = formulation.scene.solver
+    other = Solver(method=users.method, rank=users.rank)
+    planned = {
+        name: own if name == SYSTEM else plan_solver(*shape, target.scalar, other)
+        for name, shape in formulation.law.solvers
+    }
+    return {name: dataclasses.replace(solver, root=_root(target)) for name, solver in planned.items()}
+
+
+def _plan_known(law: Law, staged: Staged, cutter: "_Cutter", solver: SolverPlan) -> Known | None:
+    """The matrix of the scene's system where no state changes it; a projection needs its solver all the same."""
+    if any(isinstance(step, Project) for step in law.steps()):
+        return None
+    return plan_known(staged, cutter.result(law.matrix_of(SYSTEM)), solver)
+
+
+def _at_hand(law: Law, matrix: str) -> Law:
+    """The law with the pseudo-inverse of that matrix at hand: nothing evaluates it, and solves apply it."""
+
+    def staged(step: Step) -> Step:
+        if isinstance(step, Evaluate):
+            return Evaluate(tuple(name for name in step.into if name != matrix))
+        if isinstance(step, Solve) and step.matrix == matrix:
+            return Apply(step.into, step.solver, step.matrix, step.right, step.free)
+        return step
+
+    routines = [dataclasses.replace(r, steps=tuple(map(staged, r.steps))) for r in law.routines]
+    return dataclasses.replace(law, routines=tuple(routines))
 
 
 def plan_scene_solver(formulation: Formulation, optimised: SceneProgram, scalar: Scalar) -> SolverPlan:
@@ -80,40 +101,6 @@ def plan_scene_solver(formulation: Formulation, optimised: SceneProgram, scalar:
     return plan_solver(*scene.system_shape, scalar, solver)
 
 
-def _plan_control(formulation: Formulation, staged: Staged, cutter: "_Cutter", solver: SolverPlan) -> ControlPlan:
-    """What the control function computes itself, and what it is handed."""
-    scene, matrix = formulation.scene, formulation.factorised
-    weight = formulation.weight
-    free = "y" if weight is None else "y_w"
-    y = None if scene.y is None else "input" if isinstance(scene.y, str) and weight is None else "expression"
-    known = plan_known(staged, cutter.result(matrix), solver) if not scene.system.tau_is_state else None
-    reaction = None
-    right: tuple[str, ...] = (scene.system.right,)
-    if scene.kind == "ideal":
-        right = REACTION
-        planned = plan_solver(scene.rows, scene.rows, solver.scalar, _reaction_solver(scene.solver))
-        planned = dataclasses.replace(planned, root=solver.root)
-        reaction = Reaction(cutter.kernel(*REACTION), planned, scene.system_shape[0])
-    names = ((matrix,) if known is None else ()) + right
-    names += (free,) if y == "expression" else ()
-    names += ("recover",) if weight is not None else ()
-    kernel = cutter.kernel(*names)
-    if known is not None and known.kernel is not None:
-        cutter.add(known.kernel)
-    curvature = formulation.curvature
-    bends = ("curvature",) if curvature else ()
-    system = scene.system
-    projection = cutter.kernel(system.constraint, system.matrix, *bends) if system.tau_is_state else None
-    cap = 0 if projection is None else PROJECTION_CAP if curvature else AFFINE_CAP
-    pattern = weight.pattern if weight is not None else ()
-    return ControlPlan(kernel, system, matrix, y, free, pattern, known, reaction, projection, cap, curvature)
-
-
-def _reaction_solver(solver: Solver) -> Solver:
-    """For J Q^-1 J^T: tolerances per row, and damping, are the user's for G alone."""
-    return Solver(method=solver.method, rank=solver.rank)
-
-
 def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
     """The pseudo-inverse alone."""
     nothing = Program("nothing", (), (), ())
@@ -121,7 +108,29 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
     name = f"pinv_{m}x{l}"
     digest = hashlib.sha256(repr(planned).encode()).hexdigest()
     planned = dataclasses.replace(planned, root=_root(target))
-    return Module(name, target, digest, (), (), (), Prepare(nothing), (), (), None, planned, 0.0)
+    return Module(
+        name,
+        target,
+        digest,
+        (),
+        (),
+        (),
+        Prepare(nothing),
+        (),
+        (),
+        _solver_law(name, m, l),
+        0.0,
+        None,
+        {SYSTEM: planned},
+    )
+
+
+def _solver_law(name: str, m: int, l: int) -> Law:
+    """Its two functions, of matrices that the caller gives."""
+    S, z, y = ("S", (m, l)), ("z", (m, 1)), ("y", (l, 1))
+    solve = Routine("solve", (Solve("tau", SYSTEM, "S", "z", "y"),), "tau", (S, z, y))
+    invert = Routine("pinv", (Invert("S_pinv", SYSTEM, "S"),), "S_pinv", (S,))
+    return check_legal(Law(name, solvers=((SYSTEM, (m, l)),), routines=(solve, invert)))
 
 
 def plan_functions(
@@ -144,10 +153,15 @@ def plan_functions(
         prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),
-        control=None,
-        solver=None,
+        law=check_legal(_law_of(scene.name, quantities)),
         mass_tolerance=_mass_tolerance(scene, target.scalar),
     )
+
+
+def _law_of(name: str, quantities: Sequence[Quantity]) -> Law:
+    """A law that hands out quantities, all at once, and solves nothing."""
+    shapes = tuple((q.name, q.expression.shape) for q in quantities)
+    return Law(name, quantities=shapes, entries=(tuple(q.name for q in quantities),))
 
 
 def _root(target: Target) -> str:

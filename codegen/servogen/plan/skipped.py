@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from servogen.derive.formulation import Formulation
 from servogen.ir.program import Program
-from servogen.plan.module import ControlPlan, StructField
+from servogen.law.law import Law
+from servogen.plan.module import Known, StructField
 from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.scene_program import SceneProgram
@@ -13,24 +14,23 @@ from servogen.scene_program import SceneProgram
 def what_is_skipped(
     formulation: Formulation,
     optimised: SceneProgram,
-    control: ControlPlan,
+    law: Law,
+    known: Known | None,
     solver: SolverPlan,
     inputs: Sequence[StructField],
     staged: Staged,
 ) -> dict[str, tuple[str, ...]]:
     """Lines "what: why" for each entry point of the system and for control; inputs: those that are left."""
-    scene = formulation.scene
-    matrix, right = scene.system.matrix, scene.system.right
-    parts_of = (
-        {} if scene.kind == "ideal" else {matrix: (matrix,), right: (right,), f"{matrix}_{right}": (matrix, right)}
-    )
-    parts_of["control"] = tuple(r.name for r in control.kernel.results)
+    system = formulation.scene.system
+    of_the_system = {system.matrix, system.right}
+    parts_of = {"_".join(names): names for names in law.entries if set(names) <= of_the_system}
+    parts_of["control"] = law.routine("control").evaluated()
     planned = _planned(formulation, inputs, staged)
     found = {
         name: (*_derived(formulation, optimised, parts), *_optimised(optimised, parts), *planned)
         for name, parts in parts_of.items()
     }
-    found["control"] += (*_of_the_solver(formulation, control, solver),)
+    found["control"] += (*_of_the_solver(formulation, known, solver),)
     return found
 
 
@@ -78,12 +78,12 @@ def _planned(formulation: Formulation, inputs: Sequence[StructField], staged: St
     return [*lines, f"{early} operations of parameters alone: done once, in prepare"] if early else lines
 
 
-def _of_the_solver(formulation: Formulation, control: ControlPlan, solver: SolverPlan) -> list[str]:
+def _of_the_solver(formulation: Formulation, known: Known | None, solver: SolverPlan) -> list[str]:
     """What the solver leaves out: when it was planned, and at each tick where a certificate allows it."""
     matrix = formulation.scene.system.matrix
     lines = []
-    if control.known is not None:
-        where = "at generation" if control.known.when == "generation" else "in prepare"
+    if known is not None:
+        where = "at generation" if known.when == "generation" else "in prepare"
         lines.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
     elif solver.kind != "full":
         lines.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")

@@ -9,6 +9,21 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from servogen.errors import SceneError
+from servogen.law.law import Law, Routine, of_the_state, shapes
+from servogen.law.steps import (
+    STEPS,
+    SYSTEM,
+    Apply,
+    Call,
+    Evaluate,
+    Invert,
+    Project,
+    React,
+    Solve,
+    Step,
+    handed_out,
+    row_of,
+)
 from servogen.plan.known import known_operations
 from servogen.plan.module import Kernel, Module, cost_of
 from servogen.plan.solver import BITS, solver_context, solver_operations
@@ -18,9 +33,6 @@ from servogen.render.mathematics import math_context
 from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
-
-PLANT_STATUSES = (Status.OK, Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW)
-"""What a function can return that solves nothing by a pseudo-inverse."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +55,7 @@ def environment(folder: str = "render") -> Environment:
         autoescape=False,  # C, not HTML
     )
     templates.filters["comment"] = comment_safe
+    templates.filters["word"] = _word
     return templates
 
 
@@ -55,7 +68,7 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
     prefix = module.target.prefix
     templates = environment()
     context = _context(module)
-    kind = "package" if module.solver is not None else "plant"
+    kind = "package" if module.law.routines else "plant"
     files = [
         SourceFile(f"{prefix}.h", templates.get_template(f"{kind}.h.j2").render(context)),
         SourceFile(f"{prefix}.c", templates.get_template(f"{kind}.c.j2").render(context)),
@@ -69,77 +82,110 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
 
 def _context(module: Module) -> dict[str, Any]:
     scalar = module.target.scalar
-    kernels = module.kernels
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
         numbers = solver_context(module.solver, module.target.prefix, lit)
     else:
-        statuses = [(s.name, int(s), STATUS_MEANING[s]) for s in PLANT_STATUSES]
-        numbers = {"lit": lit, "bits": BITS[scalar], "statuses": statuses}
-    named = module.context() | numbers
-    return named | {
-        "version": VERSION,
-        "title": _title(module),
-        "math": module.needs_libm,
-        "cost": lambda program: cost_of(program.operations()),
-        "prepare_cost": cost_of(module.prepare.program.operations()),
-        "solver_cost": _solver_cost(module),
-        "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in kernels)),
-        "statements": partial(statements, scalar=scalar, own=own),
-        "pieces": partial(pieces, scalar=scalar, own=own),
-        "pieces_anywhere": any(k.chunks for k in kernels),
-        "own_functions": module.own_functions,
-        "mt": math_context(scalar) if module.own_functions else None,
-        "reads": reads,
-        "initialiser": partial(_initialiser, scalar=scalar),
+        evaluating = (Status.OK, *STEPS[Evaluate].statuses)
+        numbers = {
+            "lit": lit,
+            "bits": BITS[scalar],
+            "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in evaluating],
+        }
+    return (
+        module.context()
+        | numbers
+        | _law_context(module)
+        | {
+            "version": VERSION,
+            "title": _title(module),
+            "math": module.needs_libm,
+            "cost": lambda program: cost_of(program.operations()),
+            "prepare_cost": cost_of(module.prepare.program.operations()),
+            "solver_cost": _solver_cost(module),
+            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in module.kernels)),
+            "statements": partial(statements, scalar=scalar, own=own),
+            "pieces": partial(pieces, scalar=scalar, own=own),
+            "pieces_anywhere": any(k.chunks for k in module.kernels),
+            "own_functions": module.own_functions,
+            "mt": math_context(scalar) if module.own_functions else None,
+            "reads": reads,
+            "initialiser": partial(_initialiser, scalar=scalar),
+            "info_type": f"{module.target.prefix}_info",
+            "in_prepare": module.known.kernel if module.known else None,
+            "free": module.free,
+        }
+    )
+
+
+def _law_context(module: Module) -> dict[str, Any]:
+    """What the templates ask about the law."""
+    law, prefix = module.law, module.target.prefix
+    return {
+        "sizes": {name: rows * columns for name, (rows, columns) in shapes(law).items()},
+        "word": _word,
+        "of_the_state": of_the_state,
+        "refused_behind": lambda routine: all(row_of(step).refuses for step in routine.steps[1:]),
+        "prefix_of": lambda solver: prefix if solver == SYSTEM else f"{prefix}_{solver}",
+        "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
+        "printed_once": _printed_once(law),
         "emit": _emitted(module),
-        "info_type": f"{module.target.prefix}_info",
-        "in_prepare": module.control.known.kernel if module.control and module.control.known else None,
         "checked": _checked(module),
-        "scene_y": _scene_y(module),
     }
+
+
+def _word(step: Step) -> str:
+    return row_of(step).word
+
+
+_WITH_FUNCTIONS = {"react", "project"}
+"""Steps whose C is more than a call: what it calls is printed before the first routine that takes them."""
+
+
+def _printed_once(law: Law) -> dict[str, list[Step]]:
+    """By routine, the steps before which their functions are printed."""
+    told: set[str] = set()
+    found: dict[str, list[Step]] = {}
+    for routine in law.routines:
+        found[routine.name] = [s for s in routine.steps if _word(s) in _WITH_FUNCTIONS - told]
+        told |= {_word(s) for s in routine.steps}
+    return found
 
 
 def _shim(module: Module) -> dict[str, Any]:
     """The arguments of the external function: parameters, then inputs, each a dense column."""
-    assert module.control is not None
+    assert module.system is not None
     fields = [("params", f) for f in module.parameters] + [("in", f) for f in module.inputs]
     arguments = [
         {"index": k, "struct": struct, "name": f.name, "size": f.size, "default": f.default or (0.0,)}
         for k, (struct, f) in enumerate(fields)
     ]
-    return {"arguments": arguments, "answer": module.control.system.answer}
+    return {"arguments": arguments, "answer": module.system.answer}
 
 
 def _emitted(module: Module) -> dict[str, bool]:
-    """Which functions of the solver the package calls; no other is printed."""
-    known = module.control is not None and module.control.known is not None
-    return {"solve": not known, "pinv": True, "known": known}
+    """Which functions of the system's solver the package calls; no other is printed."""
+    at_hand = any(isinstance(step, Apply) for step in module.law.steps())
+    return {"solve": not at_hand, "pinv": True, "known": at_hand}
 
 
 def _checked(module: Module) -> list[Kernel]:
-    """The kernels of control whose results no solver looks at."""
+    """The kernels whose results are looked at before a step of the law takes them, for it would not refuse them."""
     kernels: list[Kernel] = []
-    control = module.control
-    if control is not None and control.reaction is not None:
-        kernels += [control.kernel, control.reaction.kernel]
-    if control is not None and control.projection is not None and not control.curvature:
-        kernels.append(control.projection)
+    for routine in module.law.routines:
+        for step in routine.steps:
+            if isinstance(step, Evaluate) and not all(row_of(s).refuses for s in routine.steps[1:]):
+                kernels.append(module.kernel(step.into))
+            elif isinstance(step, Project) and not step.curvature:
+                kernels.append(module.kernel(step.quantities))
     return kernels
-
-
-def _scene_y(module: Module) -> str | None:
-    """Where y comes from in the user's words: weighted, an input is an expression to the solver."""
-    if module.control is None or module.control.y is None:
-        return None
-    return "input" if any(f.name == "y" for f in module.inputs) and module.control.y else module.control.y
 
 
 def _title(module: Module) -> str:
     if module.solver is None:
         return f"functions of scene {module.scene}: {', '.join(e.name for e in module.entry_points)}"
-    return f"controller of scene {module.scene}" if module.control else f"pseudo-inverse {module.scene}"
+    return f"controller of scene {module.scene}" if module.system else f"pseudo-inverse {module.scene}"
 
 
 def _check_defaults(module: Module) -> None:
@@ -160,8 +206,8 @@ def _initialiser(values: tuple[float, ...], scalar: str) -> str:
 def _solver_cost(module: Module) -> str:
     if module.solver is None:
         return "none"
-    if module.control is not None and module.control.known is not None:
-        total = known_operations(module.solver, module.control.y is not None)["apply"]["total"]
+    if module.known is not None:
+        total = known_operations(module.solver, module.free is not None)["apply"]["total"]
         return f"{total} operations, no factorisation"
     costs = solver_operations(module.solver)
     if "closed_form" in costs:
@@ -179,11 +225,11 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
         "scalar": module.target.scalar,
         "prefix": module.target.prefix,
         "math": module.target.math,
-        "entry_points": _entry_points(module, costs),
+        "entry_points": _entry_points(module),
     }
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
-        manifest["solver"]["known"] = module.control.known.when if module.control and module.control.known else None
+        manifest["solver"]["known"] = module.known.when if module.known else None
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
     if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}
@@ -196,46 +242,49 @@ def _struct_field(f: Any) -> dict[str, Any]:
     return {"size": f.size, "default": list(f.default), "unit": f.unit, "text": f.text}
 
 
-def _entry_points(module: Module, solver_counts: dict[str, Any] | None) -> dict[str, Any]:
-    """Operations of each entry point; those that solve say the solver's own in "solver_operations"."""
+def _entry_points(module: Module) -> dict[str, Any]:
+    """Operations of each entry point; routines of the law say the solver's own in "solver_operations"."""
     points: dict[str, Any] = {}
     for entry in module.entry_points:
         points[entry.name] = {
             "operations": entry.kernel.program.operations(),
             "skipped": list(module.skipped.get(entry.name, ())),
         }
-    if solver_counts is None:
-        return points
-    nothing = {"total": 0}
-    points["pinv"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
-    if module.control is None:
-        points["solve"] = {"operations": nothing, "solver_operations": solver_counts, "skipped": []}
-        return points
-    control = module.control
-    if control.reaction is not None:
-        points["R"] = {
-            "operations": control.reaction.kernel.program.operations(),
-            "solver_operations": solver_operations(control.reaction.solver),
-            "skipped": [],
-        }
-    assert module.solver is not None
-    points["control"] = {
-        "operations": control.kernel.program.operations(),
-        "solver_operations": known_operations(module.solver, control.y is not None) if control.known else solver_counts,
-        "skipped": list(module.skipped["control"]),
-    }
-    if control.projection is not None:
-        points["project"] = {
-            "operations": control.projection.program.operations(),
-            "solver_operations": solver_counts,
-            "skipped": ["iteration: phi is affine in tau"] if not control.curvature else [],
-        }
-        points["step"] = {
-            "operations": _sum(control.kernel.program.operations(), control.projection.program.operations()),
-            "solver_operations": solver_counts,
-            "skipped": [],
+    for routine in module.law.routines:
+        points[routine.name] = {
+            "operations": _operations(module, routine),
+            "solver_operations": _solving(module, routine),
+            "skipped": _skipped(module, routine),
         }
     return points
+
+
+def _operations(module: Module, routine: Routine) -> dict[str, int]:
+    """Of the routine's own kernels, and of those of the routines that it calls."""
+    total = {"total": 0}
+    for step in routine.steps:
+        if isinstance(step, Evaluate | Project):
+            total = _sum(total, module.kernel(handed_out(step)).program.operations())
+        elif isinstance(step, Call):
+            total = _sum(total, _operations(module, module.law.routine(step.routine)))
+    return total
+
+
+def _solving(module: Module, routine: Routine) -> dict[str, Any]:
+    """The operations of the solver that the routine ends with."""
+    for step in reversed(routine.steps):
+        if isinstance(step, Apply):
+            return known_operations(module.solvers[step.solver], module.free is not None)
+        if isinstance(step, Call):
+            return _solving(module, module.law.routine(step.routine))
+        if isinstance(step, Solve | Invert | Project | React):
+            return solver_operations(module.solvers[step.solver])
+    return {"total": 0}
+
+
+def _skipped(module: Module, routine: Routine) -> list[str]:
+    affine = any(isinstance(step, Project) and not step.curvature for step in routine.steps)
+    return [*module.skipped.get(routine.name, ()), *(["iteration: phi is affine in tau"] if affine else [])]
 
 
 def _sum(a: dict[str, int], b: dict[str, int]) -> dict[str, int]:

@@ -249,7 +249,7 @@ def _single(points: Sequence[Precision], duration: float) -> str:
 def _call(package: Package) -> str:
     """The statements of the control function's own code, as generated."""
     text = (package.path / f"{package.prefix}.c").read_text()
-    kernel = package.module.control.kernel.name if package.module.control else ""
+    kernel = package.module.control.name if package.module.control else ""
     found = re.search(rf"^static (?:\w+ )?void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
     return found.group(0) if found else ""
 

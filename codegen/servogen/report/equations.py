@@ -9,8 +9,10 @@ import casadi as ca
 from servogen.derive.formulation import Formulation
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program
+from servogen.law.law import shapes
+from servogen.law.steps import React
 from servogen.optimise.merge import merge
-from servogen.plan.module import Module
+from servogen.plan.module import Kernel, Module
 from servogen.report.formulas import Formulas, formulas
 from servogen.report.mathml import formula, math, mo, symbol, tag
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic, expression_of, theta_parts
@@ -66,21 +68,25 @@ def _wish(constraint: Any) -> str:
 
 
 def _derived(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
-    """The quantities, and at last the answer."""
-    scene = formulation.scene
-    matrix, right, free = scene.system.matrix, scene.system.right, scene.y is not None
-    unknown = "tau'" if scene.system.tau_is_state else "tau"
-    metric = "" if scene.weight is None else f", {matrix}^+ in the metric of W"
-    answer = f"{unknown} = y + {matrix}^+ ({right} - {matrix} y)" if free else f"{unknown} = {matrix}^+ {right}"
-    last = [(answer + metric, {"S": "10", "A": "54", "G": "16"}[matrix])]
-    if scene.kind == "ideal":
-        last.insert(0, ("R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", "17"))
-    shapes = {"R": f"{scene.system_shape[0]}×1", "tau": f"{scene.controls}×1"}
-    answers = [
-        (math(formula(text), display=False), shapes["R" if text.startswith("R") else "tau"], f"Eq. ({number})")
-        for text, number in last
-    ]
-    return (*_quantities(formulation), *answers)
+    """The quantities, and what the steps of the law leave behind them, the answer at last."""
+    scene, system = formulation.scene, formulation.scene.system
+    control = formulation.law.routine("control")
+    sizes = shapes(formulation.law)
+    answers = []
+    for step in control.steps:
+        if isinstance(step, React):
+            answers.append(("R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", step.into, "17"))
+    metric = "" if scene.weight is None else f", {system.matrix}^+ in the metric of W"
+    inner = f"({system.right} - {system.matrix} y)" if scene.y is not None else system.right
+    free = "y + " if scene.y is not None else ""
+    answers.append((f"{system.symbol} = {free}{system.matrix}^+ {inner}{metric}", control.result, system.equation))
+    return (
+        *_quantities(formulation),
+        *(
+            (math(formula(text), display=False), "{}×{}".format(*sizes[name]), f"Eq. ({number})")
+            for text, name, number in answers
+        ),
+    )
 
 
 def _quantities(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
@@ -105,12 +111,19 @@ def _computed(scene: Scene, module: Module) -> tuple[tuple[str, Formulas], ...]:
         kept = tuple(replace(o, name=names(o.name, 0)) for o in kept)
         shown = formulas(Program(prepared.name, prepared.inputs, prepared.instrs, kept), names)
         parts.append(("Once, in prepare", shown))
-    assert module.control is not None
-    entry = module.entry_points[-1].kernel if module.control.reaction is None else module.control.kernel
-    program = entry.program
+    program = _at_tick(module).program
     kept = tuple(o for o in program.outputs if not o.name.startswith("mass_"))
     parts.append(("At each tick", formulas(Program(program.name, program.inputs, program.instrs, kept), names)))
     return tuple(parts)
+
+
+def _at_tick(module: Module) -> Kernel:
+    """The kernel to show: matrix and right side at once where an entry point hands them out, else that of control."""
+    assert module.system is not None
+    both = f"{module.system.matrix}_{module.system.right}"
+    control = module.control
+    assert control is not None
+    return next((e.kernel for e in module.entry_points if e.name == both), control)
 
 
 def _names(scene: Scene) -> Any:

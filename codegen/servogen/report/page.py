@@ -8,8 +8,8 @@ from servogen.report.collect import Report
 from servogen.report.sparsity import COLOURS, WORDS
 from servogen.report.templates import pages
 from servogen.results import Status
+from servogen.verify.answers import BAR
 from servogen.verify.check import OutputCheck
-from servogen.verify.truth import BAR
 from servogen.version import VERSION
 
 

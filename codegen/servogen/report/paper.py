@@ -139,7 +139,7 @@ def _chosen(run: Trajectory) -> str:
 
 def _start(run: Trajectory) -> str:
     """The first state of a run in words."""
-    values = {"q": run.q[0], "u": run.u[0]} | ({"tau": run.tau[0]} if run.kind == "controls" else {})
+    values = {"q": run.q[0], "u": run.u[0]} | ({"tau": run.tau[0]} if run.constraint_name == "phi" else {})
     return ", ".join(f"{name}(0) = ({', '.join(f'{x:.6g}' for x in v)})" for name, v in values.items())
 
 

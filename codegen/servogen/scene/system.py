@@ -10,7 +10,9 @@ Kind = Literal["servo", "ideal", "controls"]
 class System:
     """matrix * answer = right, from constraint = psi or phi.
 
+    answer is its name in C, symbol the one in formulas. equation: of the answer in the paper.
     reach: the matrix none of whose rows may vanish identically, a constraint's way to the controls.
+    quantities: what it is made of, beside tau; a twin has a function for each. matrix_is_given: the user wrote it.
     tau_is_state: the answer is tau', and tau an input like q and u.
     """
 
@@ -19,11 +21,17 @@ class System:
     answer: str
     constraint: Literal["psi", "phi"]
     reach: str
+    equation: str
+    quantities: tuple[str, ...]
+    symbol: str = "tau"
+    matrix_is_given: bool = False
     tau_is_state: bool = False
 
 
 SYSTEMS: dict[Kind, System] = {
-    "servo": System("S", "z", "tau", "psi", reach="S"),  # Eq. (8)
-    "ideal": System("G", "R", "tau", "psi", reach="J"),  # Eqs. (13)-(17)
-    "controls": System("A", "B", "tau_dot", "phi", reach="A", tau_is_state=True),  # Eq. (39)
+    "servo": System("S", "z", "tau", "psi", "S", "10", ("psi", "S", "z")),  # Eq. (8)
+    "ideal": System("G", "R", "tau", "psi", "J", "16", ("psi", "R", "T", "F"), matrix_is_given=True),  # Eqs. (13)-(17)
+    "controls": System(
+        "A", "B", "tau_dot", "phi", "A", "54", ("phi", "A", "B"), symbol="tau'", tau_is_state=True
+    ),  # Eq. (39)
 }

@@ -15,7 +15,7 @@ from servogen.results import Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
-from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, refusal
+from servogen.twins.interface import Twin, refusal
 
 if TYPE_CHECKING:
     from servogen.package import Package
@@ -60,7 +60,7 @@ def load_package(
     if package.scene is None:
         return CompiledSolver(module, compile_library(package, compiler, flags, stack_source(module)))
     library = compile_library(package, compiler, flags)
-    return _TWINS[package.scene.kind](package.scene, module, library)
+    return CompiledTwin(package.scene, module, library)
 
 
 def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
@@ -100,8 +100,7 @@ def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
 
 def _model_struct(module: Module) -> Any:
     """<prefix>_model: its fields, and the matrix known in prepare with its pseudo-inverse and info."""
-    known = module.control.known if module.control else None
-    if known is None or known.when == "generation":
+    if module.known is None or module.known.when == "generation":
         return _struct("model", module.model, module.target.scalar)
     assert module.solver is not None
     size = module.solver.m * module.solver.l
@@ -192,21 +191,6 @@ class CompiledTwin(Twin):
             before.append(_real(self.scalar)(dt))
         self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
         return Control(value, _read_info(info))
-
-
-class CompiledServo(CompiledTwin, ServoTwin):
-    """Compiled twin of a scene S tau = z."""
-
-
-class CompiledIdeal(CompiledTwin, IdealTwin):
-    """Compiled twin of ideal control forces G tau = R."""
-
-
-class CompiledControls(CompiledTwin, ControlsTwin):
-    """Compiled twin of a controls-involved scene."""
-
-
-_TWINS: dict[str, type[CompiledTwin]] = {"servo": CompiledServo, "ideal": CompiledIdeal, "controls": CompiledControls}
 
 
 class CompiledSolver:

@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,19 @@ from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
+
+_QUANTITIES = {
+    "psi": "The constraints' values, shape (m,).",
+    "S": "psi_u Q^-1 G, shape (m, l), Eq. (8).",
+    "z": "-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9).",
+    "R": "The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17).",
+    "T": "[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26).",
+    "F": "[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26).",
+    "phi": "The constraints' values, shape (m,).",
+    "A": "phi_tau, shape (m, l), Eq. (39).",
+    "B": "Right side of A tau' = B, shape (m,), Eq. (40).",
+}
+"""What a twin's functions return, by name; which of them a scene has, its system says."""
 
 
 class Twin(ABC):
@@ -42,9 +56,33 @@ class Twin(ABC):
         return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
 
     def __getattr__(self, name: str) -> Any:
-        if name in ("S", "z", "psi", "A", "B", "phi", "R", "T", "F"):
+        """The functions that this kind of scene has beside pinv and control, with their docstrings."""
+        if name in _QUANTITIES:
+            if name in self.scene.system.quantities:
+                return self._function_of(name)
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
+        if name in ("project", "step") and self.scene.system.tau_is_state:
+            return self._project_ if name == "project" else self._step_
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+
+    def __dir__(self) -> list[str]:
+        moving = ["project", "step"] if self.scene.system.tau_is_state else []
+        return [*super().__dir__(), *self.scene.system.quantities, *moving]
+
+    def _function_of(self, name: str) -> Callable[..., FloatArray]:
+        def quantity(**inputs: Any) -> FloatArray:
+            return self._evaluate(name, self.read_inputs(inputs))
+
+        quantity.__name__, quantity.__doc__ = name, _QUANTITIES[name]
+        return quantity
+
+    def _project_(self, *, last: Any = None, **inputs: Any) -> Control:
+        """The tau nearest to the given one with phi = 0."""
+        return self._control("project", self.read_inputs(inputs), self._last(last))
+
+    def _step_(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
+        """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
+        return self._control("step", self.read_inputs(inputs), self._last(last), float(dt))
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
@@ -87,66 +125,6 @@ class Twin(ABC):
 
     @abstractmethod
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray: ...
-
-
-class ServoTwin(Twin):
-    """Twin of a scene S tau = z."""
-
-    def psi(self, **inputs: Any) -> FloatArray:
-        """The constraints' values, shape (m,)."""
-        return self._evaluate("psi", self.read_inputs(inputs))
-
-    def S(self, **inputs: Any) -> FloatArray:
-        """psi_u Q^-1 G, shape (m, l), Eq. (8)."""
-        return self._evaluate("S", self.read_inputs(inputs))
-
-    def z(self, **inputs: Any) -> FloatArray:
-        """-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9)."""
-        return self._evaluate("z", self.read_inputs(inputs))
-
-
-class IdealTwin(Twin):
-    """Twin of a scene of ideal control forces, G tau = R. `pinv` is that of G's shape."""
-
-    def psi(self, **inputs: Any) -> FloatArray:
-        """The constraints' values, shape (m,)."""
-        return self._evaluate("psi", self.read_inputs(inputs))
-
-    def R(self, **inputs: Any) -> FloatArray:
-        """The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17)."""
-        return self._evaluate("R", self.read_inputs(inputs))
-
-    def T(self, **inputs: Any) -> FloatArray:
-        """[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26)."""
-        return self._evaluate("T", self.read_inputs(inputs))
-
-    def F(self, **inputs: Any) -> FloatArray:
-        """[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26)."""
-        return self._evaluate("F", self.read_inputs(inputs))
-
-
-class ControlsTwin(Twin):
-    """Twin of a controls-involved scene A tau' = B."""
-
-    def phi(self, **inputs: Any) -> FloatArray:
-        """The constraints' values, shape (m,)."""
-        return self._evaluate("phi", self.read_inputs(inputs))
-
-    def A(self, **inputs: Any) -> FloatArray:
-        """phi_tau, shape (m, l), Eq. (39)."""
-        return self._evaluate("A", self.read_inputs(inputs))
-
-    def B(self, **inputs: Any) -> FloatArray:
-        """Right side of A tau' = B, shape (m,), Eq. (40)."""
-        return self._evaluate("B", self.read_inputs(inputs))
-
-    def project(self, *, last: Any = None, **inputs: Any) -> Control:
-        """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs), self._last(last))
-
-    def step(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
-        """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs), self._last(last), float(dt))
 
 
 def refusal(status: Status) -> Info:

@@ -8,10 +8,11 @@ import casadi as ca
 import numpy as np
 
 from servogen.compiler import optimised_scene
+from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
 from servogen.plan import textbook_solver
-from servogen.plan.planner import PROJECTION_CAP, plan_scene_solver
+from servogen.plan.planner import plan_scene_solver
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
@@ -20,7 +21,7 @@ from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
-from servogen.twins.interface import ControlsTwin, IdealTwin, ServoTwin, Twin, finite, refusal
+from servogen.twins.interface import Twin, finite, refusal
 
 _WITHOUT_MASS = {"psi", "phi", "A"}
 
@@ -174,7 +175,7 @@ class ReferenceTwin(Twin):
         return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
-class ReferenceServo(ReferenceTwin, ServoTwin):
+class ReferenceServo(ReferenceTwin):
     """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -185,7 +186,7 @@ class ReferenceServo(ReferenceTwin, ServoTwin):
         return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | _weight(given)
 
 
-class ReferenceIdeal(ReferenceTwin, IdealTwin):
+class ReferenceIdeal(ReferenceTwin):
     """R = Q T^-1 F - P by the nonminimal form T u' = F, Eqs. (13)-(17), (26); u_D chosen at each state."""
 
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
@@ -266,7 +267,7 @@ def _independent_rows(J: FloatArray, b: FloatArray, rank: int) -> tuple[FloatArr
     return right[:rank], (left.T @ b)[:rank] / sigma[:rank]
 
 
-class ReferenceControls(ReferenceTwin, ControlsTwin):
+class ReferenceControls(ReferenceTwin):
     """A = phi_tau and B by the four terms of Eq. (40)."""
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -299,7 +300,7 @@ class ReferenceControls(ReferenceTwin, ControlsTwin):
         start = now = inputs["tau"]
         near, before = math.sqrt(EPSILON[self.scalar]), 0.0
         m, l = self.scene.rows, self.scene.controls
-        for _ in range(PROJECTION_CAP):
+        for _ in range(BENT_CAP):
             status, result = self.system(inputs | {"tau": now}, "phi", "A")
             if status < 0:
                 return Control(last, refusal(status))

@@ -15,7 +15,6 @@ from typing import Any
 from servogen.compiler import build
 from servogen.package import Package
 from servogen.plan.mathematics import Math
-from servogen.plan.solver import SolverPlan
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
 from servogen.verify import objects
@@ -154,8 +153,7 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
 
 def _machine(package: Package, result: HarnessResult, compiled: objects.Compiled) -> tuple[Machine | None, list[str]]:
     """The image's code with the limits of the package's loops, or why there is none."""
-    solvers = [s for s in (package.module.solver, _reaction_solver(package)) if s is not None]
-    most = max((min(s.m, s.l) for s in solvers), default=1)
+    most = max((min(s.m, s.l) for s in package.module.solvers.values()), default=1)
     source = package.path / f"{package.prefix}.c"
     try:
         loops = loops_of(source.read_text(), {"rank": most, "steps": most})
@@ -163,11 +161,6 @@ def _machine(package: Package, result: HarnessResult, compiled: objects.Compiled
         return None, [f"{source.name}, {problem}"]
     objdump, nm, addr2line = (objects.tool(t, compiled.program) for t in ("objdump", "nm", "addr2line"))
     return read_machine(objdump, nm, result.image, addr2line, source, loops), []
-
-
-def _reaction_solver(package: Package) -> SolverPlan | None:
-    control = package.module.control
-    return control.reaction.solver if control is not None and control.reaction is not None else None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build
+from servogen.law.steps import STATE, SYSTEM, Apply, Multiply, Solve
 from servogen.package import Package
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
@@ -17,9 +18,10 @@ from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.twins.reference import reference
+from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
-from servogen.verify.truth import BAR, Truth, states_to_check
+from servogen.verify.truth import Truth, states_to_check
 from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
 
 STATES = 2000
@@ -283,7 +285,8 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     worst: dict[str, float] = {}
     answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
-    names = (case.package.module.entry_points[0].name, truth.control.system.matrix, truth.control.system.right)
+    system = case.scene.system
+    names = (case.package.module.entry_points[0].name, system.matrix, system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -344,35 +347,43 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
     return SolveCheck(case.scene.name, case.scalar, compiler, solved, worst)
 
 
+def _solve_of(case: _Case) -> Solve | Apply:
+    """The step of control that solves the scene's system."""
+    steps = case.truth.law.routine("control").steps
+    return next(s for s in steps if isinstance(s, Solve | Apply) and s.solver == SYSTEM)
+
+
 def _free_vector(case: _Case, k: int) -> FloatArray:
     """y as the scalar's own arithmetic gives it."""
-    y = case.truth.control.y
-    if y == "expression":
-        return case.truth.points[k].rounded[case.truth.control.free]
-    return np.asarray(case.truth.inputs["y"][k]) if y == "input" else np.zeros(case.scene.controls)
+    free = _solve_of(case).free
+    if not free:
+        return np.zeros(case.scene.controls)
+    if free.startswith(STATE):
+        return np.asarray(case.truth.inputs[free.removeprefix(STATE)][k])
+    return case.truth.points[k].rounded[free]
 
 
 def _system(
     case: _Case, twin: CompiledTwin, k: int, inputs: dict[str, FloatArray]
 ) -> tuple[Status, FloatArray, FloatArray]:
     """The system the solver gets: the code's own words for it, and by the scalar's own arithmetic what has no entry."""
-    control = case.truth.control
-    matrix, right = control.system.matrix, control.system.right
-    if control.matrix == matrix and control.reaction is None:
-        status, (S, z) = twin.evaluate(f"{matrix}_{right}", inputs)
+    step, law = _solve_of(case), case.truth.law
+    if (step.matrix, step.right) in law.entries:
+        status, (S, z) = twin.evaluate(f"{step.matrix}_{step.right}", inputs)
         return status, S, z
-    status, (z,) = twin.evaluate(right, inputs)
-    return status, case.truth.points[k].rounded[control.matrix].reshape(case.scene.system_shape), z
+    status, (z,) = twin.evaluate(step.right, inputs)
+    return status, case.truth.points[k].rounded[step.matrix].reshape(case.scene.system_shape), z
 
 
 def _recover(case: _Case, k: int) -> FloatArray | None:
     """L^-T of a weight by the scalar's own arithmetic."""
-    pattern = case.truth.control.recover
-    if not pattern:
+    steps = case.truth.law.routine("control").steps
+    step = next((s for s in steps if isinstance(s, Multiply)), None)
+    if step is None:
         return None
-    entries = case.truth.points[k].rounded["recover"]
-    N = np.zeros((len(pattern), len(pattern)))
-    for i, row in enumerate(pattern):
+    entries = case.truth.points[k].rounded[step.entries]
+    N = np.zeros((len(step.pattern), len(step.pattern)))
+    for i, row in enumerate(step.pattern):
         for e, j in row:
             N[i, j] = entries[e]
     return N

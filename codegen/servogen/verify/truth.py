@@ -2,13 +2,12 @@
 correctly rounded code may be.
 
 Tolerances are no guesses: S, z, A, B may differ by the first-order rounding bound of their own operations
-(ir/rounding.py), tau by BAR u kappa (|tau| + |y|) for the solver and what the errors of S and z do to it.
+(ir/rounding.py), what a routine of the law leaves by what its steps do to these errors (answers.py).
 """
 
 from dataclasses import dataclass
 from typing import Any
 
-import flint
 import mpmath as mp
 import numpy as np
 
@@ -16,52 +15,39 @@ from servogen import exact
 from servogen.compiler import optimised_scene
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
-from servogen.ir.numbers import as_fraction
 from servogen.ir.rounding import rounding_bounds
+from servogen.law.law import Routine, of_the_state, shapes
+from servogen.law.steps import SYSTEM, Advance, Call, Evaluate, Project
 from servogen.plan import textbook_solver
 from servogen.plan.module import Module
-from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import cut
-from servogen.results import Control, FloatArray, Info, Status
+from servogen.results import FloatArray, Info, Status
 from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
 from servogen.singular import pseudo_solution
-from servogen.twins.interface import ControlsTwin
+from servogen.twins.interface import Twin
 from servogen.twins.reference import reference
+from servogen.verify.answers import (
+    BAR,
+    Answer,
+    Exact,
+    Point,
+    Surroundings,
+    advanced,
+    answer_of,
+    norm,
+    solved,
+    unknown,
+    worse,
+)
 from servogen.verify.projection import Projection
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS, EntryVectors, OutputVectors, VectorSet
-
-BAR = 8.0
-"""tau may err by BAR u kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
 
 STEP_DT = 1e-3
 """dt of the vectors of step, in seconds."""
 
 _SECOND_ORDER = 1.01  # first-order bounds are off by their square
-_TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
-
-Exact = list[Any]  # mpf values, row by row
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Everything about one state: the truth, and the scalar's own answers by the interpreter."""
-
-    values: dict[str, Exact]
-    bounds: dict[str, FloatArray]
-    rounded: dict[str, FloatArray]
-    status: Status  # of the quantities that need Q, before any solve
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """Expected tau with its tolerance (inf: not compared), status and rank."""
-
-    tau: Exact
-    tolerance: float
-    status: int
-    rank: int
 
 
 def states_to_check(scene: Scene, count: int, seed: int = 0) -> tuple[State, list[str]]:
@@ -77,9 +63,8 @@ class Truth:
 
     def __init__(self, scene: Scene, module: Module, states: State, drawn: int) -> None:
         assert module.solver is not None
-        assert module.control is not None
         self.scene, self.module, self.drawn = scene, module, drawn
-        self.solver, self.control = module.solver, module.control
+        self.solver, self.law, self.shapes = module.solver, module.law, shapes(module.law)
         self.scalar = module.target.scalar
         self.dtype = np.dtype(self.scalar).type
         with np.errstate(over="ignore"):
@@ -92,8 +77,7 @@ class Truth:
         self.problems: list[str] = []
         self.finite = np.array([self._inputs_finite(k) for k in range(self.count)])
         self.points = self._points(self.inputs)
-        self.reactions = [self._reaction(k) for k in range(self.count)] if self.control.reaction else []
-        self.answers = [self._answer(k) for k in range(self.count)]
+        self._answers: dict[str, list[Answer]] = {}
 
     def _inputs_finite(self, k: int) -> bool:
         return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.inputs)
@@ -151,117 +135,67 @@ class Truth:
         good = all(np.all(np.isfinite(self.points[k].rounded[n])) for n in names)
         return Status.OK if good else Status.OVERFLOW
 
-    def _answer(self, k: int) -> Answer:
-        """control at state k."""
-        control, point = self.control, self.points[k]
-        results = tuple(r.name for r in control.kernel.results)
-        status = self._evaluated(k, results, bool(control.kernel.guards))
-        if control.reaction is None:
-            return self._unweighted(
-                point, self._solved(point, control.matrix, control.system.right, status, self._free(k))
-            )
-        reaction = self.reactions[k]
-        status = (
-            status if status < 0 else Status.OK if reaction.status == ANY_ANSWER else Status(min(0, reaction.status))
-        )
-        if status < 0 or not np.isfinite(reaction.tolerance):
-            unknown = status if status < 0 else ANY_ANSWER
-            return Answer([mp.mpf(0)] * self.solver.l, np.inf, unknown, ANY_RANK)
-        R = np.array([float(v) for v in reaction.tau]).astype(self.dtype)
-        limits = np.full(len(R), reaction.tolerance)
-        with_R = Point(
-            point.values | {"R": reaction.tau}, point.bounds | {"R": limits}, point.rounded | {"R": R}, status
-        )
-        answer = self._unweighted(point, self._solved(with_R, control.matrix, "R", status, self._free(k)))
-        if 0 < answer.status <= Status.RANK_DEFICIENT_INCONSISTENT and np.any(R):
-            return Answer(answer.tau, answer.tolerance, ANY_ANSWER, answer.rank)  # R's own errors decide consistency
-        both = ANY_ANSWER in (answer.status, reaction.status) and answer.status >= 0
-        status_of_both = (
-            ANY_ANSWER if both else max(answer.status, reaction.status) if answer.status >= 0 else answer.status
-        )
-        return Answer(answer.tau, answer.tolerance, status_of_both, answer.rank)
+    def answers(self, name: str) -> list[Answer]:
+        """What a routine of the law ought to answer at each state."""
+        if name not in self._answers:
+            self._answers[name] = self._walked(self.law.routine(name))
+        return self._answers[name]
 
-    def _reaction(self, k: int) -> Answer:
-        """R of ideal control forces at state k."""
-        reaction, point = self.control.reaction, self.points[k]
-        assert reaction is not None
-        n, m = reaction.size, reaction.solver.m
-        status = self._evaluated(k, tuple(r.name for r in reaction.kernel.results), bool(reaction.kernel.guards))
-        point = _in_own_units(point, m) if m > 1 and status == Status.OK else point
-        force = self._solved(point, "reaction_matrix", "reaction_right", status, None, reaction.solver)
-        if force.status < 0 or not np.isfinite(force.tolerance):
-            return Answer([mp.mpf(0)] * n, np.inf, force.status if force.status < 0 else ANY_ANSWER, force.rank)
-        with mp.workdps(DIGITS):
-            J = [point.values["J"][n * i : n * (i + 1)] for i in range(m)]
-            R = [mp.fsum(J[i][c] * force.tau[i] for i in range(m)) for c in range(n)]
-        size, reach = _norm(point.values["J"]), _norm(force.tau)
-        tolerance = size * force.tolerance + _norm(point.bounds["J"]) * reach
-        tolerance += (m + 1) * self.solver.epsilon * size * reach + m * float(np.finfo(self.scalar).smallest_subnormal)
-        return Answer(R, tolerance, force.status, force.rank)
+    def _walked(self, routine: Routine) -> list[Answer]:
+        first = routine.steps[0]
+        if isinstance(first, Evaluate):
+            return [self._evaluating(routine, k) for k in range(self.count)]
+        if isinstance(first, Project):
+            return self._projecting(first, Moved(self.points, self.inputs["tau"], np.zeros(self.count)))
+        return self._calling(routine)
 
-    def _unweighted(self, point: Point, sigma: Answer) -> Answer:
-        """tau = L^-T sigma where there is a weight."""
-        pattern = self.control.recover
-        if not pattern or sigma.status < 0:
-            return sigma
-        entries = point.values["recover"]
-        with mp.workdps(DIGITS):
-            tau = [mp.fsum(entries[e] * sigma.tau[j] for e, j in row) for row in pattern]
-        size, reach = _norm(entries), _norm(sigma.tau)
-        tolerance = (
-            size * sigma.tolerance + _norm(point.bounds["recover"]) * reach if sigma.tolerance < np.inf else np.inf
-        )
-        tolerance += (len(pattern) + 1) * self.solver.epsilon * size * reach
-        return Answer(tau, tolerance, sigma.status, sigma.rank)
-
-    def _free(self, k: int) -> str | FloatArray | None:
-        if self.control.y == "input":
-            return np.asarray(self.inputs["y"][k])
-        return self.control.free if self.control.y == "expression" else None
-
-    def _solved(
-        self,
-        point: Point,
-        matrix: str,
-        right: str,
-        status: Status,
-        free: str | FloatArray | None,
-        solver: SolverPlan | None = None,
-    ) -> Answer:
-        """What a solve gives for the system (matrix, right) at a point; free: y, or its name among the quantities."""
-        solver = solver or self.solver
-        l = solver.l
+    def _evaluating(self, routine: Routine, k: int) -> Answer:
+        """An evaluation and steps on what it leaves: the greatest status counts, the first negative one ends it."""
+        kernel = self.module.kernel(routine.evaluated())
+        size = self.shapes[routine.result][0]
+        status: int = self._evaluated(k, routine.evaluated(), bool(kernel.guards))
         if status < 0:
-            return Answer([mp.mpf(0)] * l, np.inf, status, 0)
-        S, z = point.rounded[matrix].reshape(-1, l), point.rounded[right]
-        y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
-        _, info = textbook_solver.solve(S, z, y_rounded, solver)
-        if info.status < 0:
-            return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
-        y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
-        if info.rank == 0:
-            error = _norm(point.bounds[free]) if isinstance(free, str) else 0.0
-            return Answer(y, error, info.status, 0)
-        if info.rank < min(solver.m, l) or info.status == Status.REGULARISED:
-            return _truncated(point, matrix, right, y_rounded, info, solver)
-        y_error = _norm(point.bounds[free]) if isinstance(free, str) else 0.0
-        tau, tolerance = _full_rank(point, matrix, right, y, y_error, solver)
-        return Answer(tau, tolerance, info.status if np.isfinite(tolerance) else ANY_ANSWER, info.rank)
+            return unknown(size, status, 0)
+        inputs = {n: v[k] for n, v in self.inputs.items()}
+        at = Surroundings(self.points[k], inputs, self.module.solvers)
+        for step in routine.steps[1:]:
+            assert not isinstance(step, Evaluate)
+            answer = answer_of(step, at)
+            if answer.status < 0:
+                return unknown(size, answer.status, answer.rank)
+            status = worse(status, answer.status)
+            at.answers[step.into] = answer
+        return Answer(answer.tau, answer.tolerance, status, answer.rank)
+
+    def _calling(self, routine: Routine) -> list[Answer]:
+        """Calls, between them an input advanced along what the first one answered."""
+        first, advance, last = routine.steps
+        assert isinstance(first, Call)
+        assert isinstance(advance, Advance)
+        assert isinstance(last, Call)
+        rates, start, dt = self.answers(first.routine), self.inputs["tau"], float(self.dtype(STEP_DT))
+        ways = [advanced(advance, start[k], rates[k], dt) for k in range(self.count)]
+        moved = np.array([values for values, _ in ways], dtype=object)
+        carried = np.array([error + 2 * self.solver.epsilon * norm(values) for values, error in ways])
+        nearest = self.law.routine(last.routine).steps[0]
+        assert isinstance(nearest, Project)
+        after = self._projecting(nearest, Moved(self._points(self.inputs | {"tau": moved}), moved, carried))
+        return [self._after(*pair) for pair in zip(rates, after, strict=True)]
+
+    def _after(self, before: Answer, after: Answer) -> Answer:
+        """The answer of a call behind another: the greater status, the first negative one."""
+        if before.status < 0:
+            return Answer(before.tau, np.inf, before.status, 0)
+        if after.status < 0:
+            return after
+        return Answer(after.tau, after.tolerance, worse(before.status, after.status), after.rank)
 
     def vector_set(self) -> VectorSet:
         """Test vectors of every entry point, for the harness."""
         fields = tuple((f.name, f.size) for f in self.module.inputs)
         entries = [self._entry_vectors(e.name, tuple(r.name for r in e.kernel.results), bool(e.kernel.guards))
                    for e in self.module.entry_points]  # fmt: skip
-        if self.control.reaction is not None:
-            entries.append(self._reaction_vectors())
-        entries += [self._pinv_vectors(), self._control_vectors("control", self.answers)]
-        if self.control.projection is not None:
-            projected, stepped = self._bent_projections() if self.control.curvature else self._projections()
-            entries += [
-                self._control_vectors("project", projected),
-                self._control_vectors("step", stepped, float(self.dtype(STEP_DT))),
-            ]
+        entries += [self._routine_vectors(routine) for routine in self.law.routines]
         params = {n: [float(x) for x in v.ravel()] for n, v in self.parameters.items()}
         inputs = {name: self.inputs[name] for name, _ in fields}
         return VectorSet(self.module.target.prefix, self.scalar, tuple(entries), params, fields, inputs)
@@ -284,17 +218,17 @@ class Truth:
             outputs.append(OutputVectors.of(name, values, tolerance, self.scale(name), self.scalar))
         return EntryVectors(entry, "plain", tuple(outputs), status, domain=self.drawn)
 
-    def _pinv_vectors(self) -> EntryVectors:
+    def _pinv_vectors(self, routine: Routine) -> EntryVectors:
         """S+ of the matrices the scalar's own evaluation gives, against exact rationals."""
         m, l = self.solver.m, self.solver.l
-        matrix = self.control.matrix
+        matrix = self.law.matrix_of(SYSTEM)
         matrices = np.stack([p.rounded[matrix] for p in self.points]).astype(self.dtype)
         values, tolerance, status, rank = [], [], [], []
         for flat in matrices:
             S = flat.reshape(m, l).astype(float)
             refused, info = textbook_solver.pinv(S, self.solver)
             truth, kappa = self._pseudo_inverse(S, info) if info.status >= 0 else (refused, 1.0)
-            size = _norm(truth)
+            size = norm(truth)
             limit = BAR * self.solver.epsilon * kappa * size + float(np.finfo(self.scalar).smallest_subnormal)
             values.append(truth.ravel())
             tolerance.append(np.full(m * l, limit if info.status >= 0 and np.isfinite(size) else np.inf))
@@ -304,7 +238,7 @@ class Truth:
         drawn = stacked[: self.drawn]
         scale = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         expected, limits = _comparable(stacked, np.stack(tolerance), self.scalar)
-        output = OutputVectors.of(f"{self.control.system.matrix}_pinv", expected, limits, scale, self.scalar)
+        output = OutputVectors.of(routine.result, expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
         return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
@@ -321,191 +255,83 @@ class Truth:
         columns = [pseudo_solution(S, e, nothing, info.rank, self.solver.damping) for e in np.eye(len(S))]
         return np.array([[float(v) for v in column] for column, _ in columns]).T, columns[0][1]
 
-    def _control_vectors(self, entry: str, answers: list[Answer], dt: float | None = None) -> EntryVectors:
+    def _routine_vectors(self, routine: Routine) -> EntryVectors:
+        """Vectors of a routine: of the state with or without info, or of matrices that the caller gives."""
+        if not of_the_state(routine):
+            return self._pinv_vectors(routine)
+        answers = self.answers(routine.name)
         values = np.array([a.tau for a in answers], dtype=object)
-        tolerance = np.stack([np.full(self.solver.l, a.tolerance) for a in answers])
+        tolerance = np.stack([np.full(values.shape[1], a.tolerance) for a in answers])
         known = [abs(float(v)) for a in answers[: self.drawn] if np.isfinite(a.tolerance) for v in a.tau]
         expected, limits = _comparable(values, tolerance, self.scalar)
-        name = self.control.system.answer if entry == "control" else "tau"
-        output = OutputVectors.of(name, expected, limits, max(known, default=0.0), self.scalar)
+        output = OutputVectors.of(routine.result, expected, limits, max(known, default=0.0), self.scalar)
         status = np.array([a.status for a in answers])
+        if not routine.info:
+            return EntryVectors(routine.name, "plain", (output,), status, domain=self.drawn)
         rank = np.array([a.rank if a.status not in (ANY_ANSWER, ANY_STATUS) else ANY_RANK for a in answers])
-        call: Any = entry
-        return EntryVectors(entry, call, (output,), status, rank, dt, domain=self.drawn)
+        call: Any = routine.name  # its signature has the name of the routine
+        dt = float(self.dtype(STEP_DT)) if routine.arguments else None
+        return EntryVectors(routine.name, call, (output,), status, rank, dt, domain=self.drawn)
 
-    def _reaction_vectors(self) -> EntryVectors:
-        """R of ideal control forces, against J^T times the exact forces of constraint."""
-        values = np.array([a.tau for a in self.reactions], dtype=object)
-        tolerance = np.stack([np.full(len(a.tau), a.tolerance) for a in self.reactions])
-        drawn = self.reactions[: self.drawn]
-        known = [abs(float(v)) for a in drawn if np.isfinite(a.tolerance) for v in a.tau]
-        expected, limits = _comparable(values, tolerance, self.scalar)
-        output = OutputVectors.of("R", expected, limits, max(known, default=0.0), self.scalar)
-        return EntryVectors("R", "plain", (output,), np.array([a.status for a in self.reactions]), domain=self.drawn)
-
-    def _projections(self) -> tuple[list[Answer], list[Answer]]:
-        """Expected answers of project and step where phi is affine in tau: A, and so the projection, is exact."""
-        projected = [self._projected(k, self.points[k], self.inputs["tau"][k], 0.0) for k in range(self.count)]
-        dt = float(self.dtype(STEP_DT))
-        moved = np.array([_moved(self.inputs["tau"][k], a, dt) for k, a in enumerate(self.answers)], dtype=object)
-        points = self._points(self.inputs | {"tau": moved})
-        stepped = []
-        for k, (answer, point) in enumerate(zip(self.answers, points, strict=True)):
-            if answer.status < 0:
-                stepped.append(Answer(answer.tau, np.inf, answer.status, 0))
-                continue
-            size = _norm(moved[k])
-            carried = dt * answer.tolerance + 2 * self.solver.epsilon * size
-            after = self._projected(k, point, moved[k], carried)
-            both = ANY_ANSWER in (answer.status, after.status)
-            status = after.status if after.status < 0 else ANY_ANSWER if both else max(answer.status, after.status)
-            stepped.append(Answer(after.tau, after.tolerance, status, after.rank))
-        return projected, stepped
-
-    def _bent_projections(self) -> tuple[list[Answer], list[Answer]]:
-        """The same where phi is not affine in tau; where the textbook's iteration finds nothing, any status will do."""
-        program = cut(self.program, "projection", ("phi", "A", "curvature"))
-        projection = Projection(program, self.control.curvature, self.scalar)
+    def _projecting(self, step: Project, moved: "Moved") -> list[Answer]:
+        """The nearest vectors to those of `moved` for which the step's value vanishes."""
+        if not step.curvature:
+            return [self._projected(step, k, moved) for k in range(self.count)]
+        projection = Projection(cut(self.program, "projection", step.quantities), step.places, self.scalar)
         twin = reference(self.scene, self.scalar)
-        assert isinstance(twin, ControlsTwin)
-        dt = float(self.dtype(STEP_DT))
-        projected, stepped = [], []
-        for k in range(self.count):
-            at = {n: v[k] for n, v in self.inputs.items()}
-            start = [mp.mpf(float(v)) for v in at["tau"]]
-            projected.append(self._bent(k, projection, twin.project(**at), start, 0.0))
-            control = self.answers[k]
-            if control.status < 0 or not np.isfinite(control.tolerance) or not self.finite[k]:
-                unknown = control.status if control.status < 0 else ANY_STATUS
-                stepped.append(Answer(start, np.inf, unknown, ANY_RANK))
-                continue
-            moved = list(_moved(at["tau"], control, dt))
-            carried = dt * control.tolerance + 2 * self.solver.epsilon * _norm(moved)
-            after = self._bent(k, projection, twin.step(dt, **at), moved, carried)
-            known = after.status == Status.OK
-            status = control.status if known else after.status  # the greater: a control's remark stays
-            stepped.append(Answer(after.tau, after.tolerance, status, after.rank))
-        return projected, stepped
+        return [self._bent(k, projection, twin, moved) for k in range(self.count)]
 
-    def _bent(self, k: int, projection: Projection, guess: Control, start: Exact, carried: float) -> Answer:
-        """What project gives from `start` at state k, near what the textbook's iteration found."""
-        unknown = Answer([mp.mpf(0)] * self.solver.l, np.inf, ANY_STATUS, ANY_RANK)
+    def _bent(self, k: int, projection: Projection, twin: Twin, moved: "Moved") -> Answer:
+        """What a projection gives at state k, near what the textbook's iteration finds, if it finds anything."""
+        nothing = unknown(self.solver.l, ANY_STATUS)
         if not self.finite[k]:
-            return Answer(unknown.tau, np.inf, Status.NONFINITE, 0)
+            return unknown(self.solver.l, Status.NONFINITE, 0)
+        if not np.isfinite(moved.carried[k]):
+            return nothing
+        inputs = {n: v[k] for n, v in self.inputs.items()}
+        start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in moved.tau[k]]
+        guess = twin.project(**(inputs | {"tau": np.array([float(v) for v in start])}))
         if guess.info.status < 0 or guess.info.rank < self.solver.m or guess.info.status == Status.REGULARISED:
-            return unknown
-        inputs = {n: v[k : k + 1] for n, v in self.inputs.items()} | self.parameters
-        inputs = {n: np.array(v, dtype=float) for n, v in inputs.items()}
-        found = projection.nearest(inputs, start, guess.value, carried)
-        if found is None or _norm(np.array([float(v) for v in found.tau]) - guess.value) > 2 * found.tolerance:
-            return unknown
+            return nothing
+        held = {n: v[k : k + 1] for n, v in self.inputs.items()} | self.parameters
+        held = {n: np.array(v, dtype=float) for n, v in held.items()}
+        found = projection.nearest(held, start, guess.value, float(moved.carried[k]))
+        if found is None or norm(np.array([float(v) for v in found.tau]) - guess.value) > 2 * found.tolerance:
+            return nothing
         return Answer(found.tau, found.tolerance, Status.OK, self.solver.m)
 
-    def _projected(self, k: int, point: Point, tau: Any, carried: float) -> Answer:
-        """tau - A+ phi, exact where phi is affine in tau; `carried` is the 2-norm of an error tau comes with."""
-        l = self.solver.l
+    def _projected(self, step: Project, k: int, moved: "Moved") -> Answer:
+        """tau - A+ phi, exact where phi is affine in tau."""
+        l, point, tau = self.solver.l, moved.points[k], moved.tau[k]
         status = Status.OK if self.finite[k] else Status.NONFINITE
-        if status == Status.OK and not all(np.all(np.isfinite(point.rounded[n])) for n in ("phi", "A")):
+        if status == Status.OK and not all(np.all(np.isfinite(point.rounded[n])) for n in step.quantities):
             status = Status.OVERFLOW
         if status < 0:
-            return Answer([mp.mpf(0)] * l, np.inf, status, 0)
-        values = point.values | {"phi": [-v for v in point.values["phi"]]}
-        rounded = point.rounded | {"phi": -point.rounded["phi"]}
-        move = self._solved(Point(values, point.bounds, rounded, point.status), "A", "phi", status, None)
+            return unknown(l, status, 0)
+        values = point.values | {step.value: [-v for v in point.values[step.value]]}
+        rounded = point.rounded | {step.value: -point.rounded[step.value]}
+        negated = Point(values, point.bounds, rounded, point.status)
+        move = solved(negated, step.matrix, step.value, None, self.module.solvers[step.solver])
         start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in tau]
         with mp.workdps(DIGITS):
             answer = [a + b for a, b in zip(start, move.tau, strict=True)]
-        size = _norm(start) + _norm(move.tau)
-        tolerance = move.tolerance + self.solver.epsilon * size + 2 * carried
+        size = norm(start) + norm(move.tau)
+        tolerance = move.tolerance + self.solver.epsilon * size + 2 * float(moved.carried[k])
         return Answer(answer, tolerance, move.status, move.rank)
 
 
-def _full_rank(
-    point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: SolverPlan
-) -> tuple[Exact, float]:
-    """tau to 50 digits, and the 2-norm by which the code may miss it."""
-    m, l = solver.m, solver.l
-    if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
-        return y, np.inf
-    S = _rational(point.values[matrix], m, l)
-    inverse = exact.pinv_full(S)
-    tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
-    sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
-    S_error, z_error = _norm(point.bounds[matrix]), _norm(point.bounds[right])
-    sigma = np.linalg.svd(sizes, compute_uv=False)
-    reach = _norm(exact.nearest(tau)) + _norm(y)
-    if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
-        return y, np.inf
-    rounding = BAR * solver.epsilon * sigma[0] / sigma[-1] * reach
-    rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
-    residual = _norm(exact.nearest(rest))
-    carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
-    smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
-    return _values(tau), float(rounding + carried + 2 * y_error + smallest)
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """The states with another tau: what the program says there, tau (N, l), and the 2-norms of errors it comes with."""
 
-
-def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: SolverPlan) -> Answer:
-    """tau of a system below full rank or damped: that of the SVD at 50 digits of the scalar's own S, z and y.
-
-    The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
-    """
-    S, z = point.rounded[matrix].reshape(solver.m, solver.l), point.rounded[right]
-    tau, kappa = pseudo_solution(textbook_solver.counted_rows(S, solver), z, y, info.rank, solver.damping)
-    residual = _norm(z - S @ np.array([float(v) for v in tau]))
-    size = _norm(S)
-    carried = kappa * residual / size if size > 0 else 0.0
-    tolerance = BAR * solver.epsilon * kappa * (_norm(tau) + _norm(y) + carried)
-    return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
-
-
-def _in_own_units(point: Point, m: int) -> Point:
-    """The rows of J, and with them both sides of the system of R, in the code's powers of two."""
-    unit = -textbook_solver.symmetric_units(point.rounded["reaction_matrix"].reshape(m, m).astype(float))
-    by_row = np.repeat(unit, len(point.values["J"]) // m)
-    shifts = {"reaction_matrix": (unit[:, None] + unit).ravel(), "reaction_right": unit, "J": by_row}
-    values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)
-    for name, shift in shifts.items():
-        values[name] = [mp.ldexp(v, int(k)) for v, k in zip(values[name], shift, strict=True)]
-        with np.errstate(over="ignore"):
-            bounds[name] = np.ldexp(bounds[name].ravel(), shift)
-            rounded[name] = np.ldexp(rounded[name].ravel(), shift.astype(np.int32))
-    return Point(values, bounds, rounded, point.status)
-
-
-def _moved(tau: FloatArray, answer: Answer, dt: float) -> Exact:
-    with mp.workdps(DIGITS):
-        start = [mp.mpf(float(x)) for x in tau]
-        if answer.status < 0 or not np.isfinite(answer.tolerance):
-            return start
-        return [a + dt * b for a, b in zip(start, answer.tau, strict=True)]
-
-
-def _norm(values: Any) -> float:
-    """2-norm of numbers of any kind, without overflow or underflow on the way."""
-    sizes = np.array([abs(float(v)) for v in np.ravel(values)])
-    largest = float(np.max(sizes, initial=0.0))
-    return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
+    points: list[Point]
+    tau: Any
+    carried: FloatArray
 
 
 def _row(values: FloatArray, k: int) -> FloatArray:
     """Row k; a constant quantity has one row for all."""
     return np.asarray(values[k if len(values) > 1 else 0])
-
-
-def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
-    """mpf values as exact rationals."""
-    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
-
-
-def _fmpq(value: Any) -> Any:
-    fraction = as_fraction(value)
-    return flint.fmpq(fraction.numerator, fraction.denominator)
-
-
-def _values(column: exact.Matrix) -> Exact:
-    with mp.workdps(DIGITS):
-        entries = [column[i, 0] for i in range(column.nrows())]
-        return [mp.mpf(int(q.p)) / int(q.q) for q in entries]
 
 
 def _comparable(expected: Any, tolerance: FloatArray, scalar: str) -> tuple[Any, FloatArray]:

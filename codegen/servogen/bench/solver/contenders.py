@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from servogen.compiler import target_for
+from servogen.law.steps import SYSTEM
 from servogen.package import write
 from servogen.plan.planner import plan_solver_only
 from servogen.render.render import render
@@ -56,7 +57,7 @@ def generate(m: int, l: int, scalar: Scalar, variant: Variant, folder: Path) -> 
     module = plan_solver_only(m, l, target_for("pinv", scalar, variant.prefix), variant.solver)
     assert module.solver is not None
     changed: dict[str, Any] = dict(variant.limits)
-    module = dataclasses.replace(module, solver=dataclasses.replace(module.solver, **changed))
+    module = dataclasses.replace(module, solvers={SYSTEM: dataclasses.replace(module.solver, **changed)})
     path = write(render(module), folder / variant.prefix, module, None).path / f"{variant.prefix}.c"
     if not variant.refined:
         cut, found = REFINEMENT.subn("", path.read_text())

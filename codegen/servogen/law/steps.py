@@ -1,0 +1,296 @@
+"""What a routine of a law is made of: one dataclass a step, and one row of STEPS that says what it means.
+
+The other columns of a step stand where their layer is, under the row's word: its C in render/templates/steps.c.j2, its
+operations in plan/costs.py, its answer to 50 digits in verify/answers.py. tests/law/test_steps.py holds them together.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from servogen.results import Status
+
+Shape = tuple[int, int]
+Pattern = tuple[tuple[tuple[int, int], ...], ...]
+"""Per row of a sparse matrix the (place in its list of entries, column) of each of them."""
+
+SYSTEM = "system"
+"""The solver of the scene's own system, whose rank, margin and residual `info` tells."""
+
+STATE = "in."
+"""Before the name of an input that a step reads as the caller gave it, in.y say."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Quantities of the scene's program at the state, by one kernel."""
+
+    into: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Solve:
+    """into = y + M+ (right - M y), M by rank, tolerances and damping of a solver; free: the name of y, or ""."""
+
+    into: str
+    solver: str
+    matrix: str
+    right: str
+    free: str = ""
+
+
+@dataclass(frozen=True)
+class Apply:
+    """The same as Solve with M+ at hand, for no state changes M: plan puts it in the place of such a Solve."""
+
+    into: str
+    solver: str
+    matrix: str
+    right: str
+    free: str = ""
+
+
+@dataclass(frozen=True)
+class React:
+    """into = J^T M+ right, M = J Q^-1 J^T, Eq. (17): the forces of constraints J u' = b on the mechanism.
+
+    M is brought to a unit diagonal by powers of two on both sides, so that no constraint's unit decides the rank. One
+    step, not a solve and a product: the powers go into J, for the multipliers in the constraints' own units may
+    overflow where the forces do not.
+    """
+
+    into: str
+    solver: str
+    matrix: str
+    right: str
+    jacobian: str
+
+
+@dataclass(frozen=True)
+class Multiply:
+    """into = N x; entries: the name of N's nonzeros in a column, placed by pattern."""
+
+    into: str
+    entries: str
+    vector: str
+    pattern: Pattern
+
+
+@dataclass(frozen=True)
+class Invert:
+    """into = M+ of a matrix that the caller gives."""
+
+    into: str
+    solver: str
+    matrix: str
+
+
+@dataclass(frozen=True)
+class Project:
+    """into = the vector nearest to an input `of` for which the quantity `value` vanishes; matrix: its derivative by it.
+
+    curvature: the name of its second derivatives, "" where it is affine; places: the (row of value, i, j <= i) of each.
+    At most `cap` steps, each of which evaluates the quantities again.
+    """
+
+    into: str
+    solver: str
+    of: str
+    value: str
+    matrix: str
+    cap: int
+    curvature: str = ""
+    places: tuple[tuple[int, int, int], ...] = ()
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What its kernel hands out."""
+        return (self.value, self.matrix, *([self.curvature] if self.curvature else []))
+
+
+@dataclass(frozen=True)
+class Advance:
+    """into = the input `of` + dt rate, dt an argument of the routine."""
+
+    into: str
+    of: str
+    rate: str
+    dt: str
+
+
+@dataclass(frozen=True)
+class Call:
+    """into = the result of an earlier routine; moved: (input, name) of an input that is another at this call."""
+
+    into: str
+    routine: str
+    moved: tuple[str, str] | None = None
+
+
+Step = Evaluate | Solve | Apply | React | Multiply | Invert | Project | Advance | Call
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a step means beside its C and its exact answer.
+
+    word: its name in print. reads: the names it needs. shape: of what it leaves in `into`, from the shapes of what it
+    reads; KeyError or ShapeError where these do not fit. statuses: what it may say. refuses: it tells by its own status
+    when something it reads is not finite, so that nobody need look before. says: the report's line.
+    """
+
+    word: str
+    reads: Callable[[Any], tuple[str, ...]]
+    shape: Callable[[Any, Mapping[str, Shape]], Shape]
+    statuses: tuple[Status, ...]
+    refuses: bool
+    says: Callable[[Any], str]
+
+
+class ShapeError(ValueError):
+    """Shapes of a step that do not fit one another."""
+
+
+def _fits(good: bool, problem: str) -> None:
+    if not good:
+        raise ShapeError(problem)
+
+
+def _solved(step: Solve | Apply, shapes: Mapping[str, Shape]) -> Shape:
+    (m, l), right = shapes[step.matrix], shapes[step.right]
+    _fits(right == (m, 1), f"{step.matrix} of {m} x {l} and {step.right} of {right[0]} x {right[1]}")
+    if step.free:
+        _fits(shapes[step.free] == (l, 1), f"{step.matrix} of {m} x {l} and the free {step.free}")
+    return l, 1
+
+
+def _reacted(step: React, shapes: Mapping[str, Shape]) -> Shape:
+    m, n = shapes[step.jacobian]
+    _fits(shapes[step.matrix] == (m, m), f"{step.jacobian} of {m} x {n} and {step.matrix}, which must be {m} x {m}")
+    _fits(shapes[step.right] == (m, 1), f"{step.jacobian} of {m} x {n} and {step.right}")
+    return n, 1
+
+
+def _multiplied(step: Multiply, shapes: Mapping[str, Shape]) -> Shape:
+    used = [pair for row in step.pattern for pair in row]
+    count, columns = shapes[step.entries][0] * shapes[step.entries][1], shapes[step.vector][0]
+    _fits(all(0 <= e < count for e, _ in used), f"the pattern names an entry that {step.entries} has not")
+    _fits(all(0 <= j < columns for _, j in used), f"the pattern names a column beyond {step.vector}")
+    return len(step.pattern), 1
+
+
+def _projected(step: Project, shapes: Mapping[str, Shape]) -> Shape:
+    m, l = shapes[step.matrix]
+    _fits(shapes[step.value] == (m, 1), f"{step.value} has not the {m} rows of {step.matrix}")
+    _fits(shapes[step.of] == (l, 1), f"{step.of} has not the {l} columns of {step.matrix}")
+    _fits(step.cap > 0, "a cap of no steps")
+    if step.curvature:
+        _fits(shapes[step.curvature] == (len(step.places), 1), f"{step.curvature} and its places differ in number")
+        _fits(all(0 <= r < m and 0 <= j <= i < l for r, i, j in step.places), "a place outside the second derivatives")
+    return l, 1
+
+
+def _advanced(step: Advance, shapes: Mapping[str, Shape]) -> Shape:
+    _fits(shapes[step.dt] == (1, 1), f"{step.dt} is no number")
+    _fits(shapes[step.of] == shapes[step.rate], f"{step.of} and its rate {step.rate} differ in size")
+    return shapes[step.of]
+
+
+def _called(step: Call, shapes: Mapping[str, Shape]) -> Shape:
+    if step.moved:
+        _fits(shapes[STATE + step.moved[0]] == shapes[step.moved[1]], f"{step.moved[0]} and {step.moved[1]} differ")
+    return shapes[f"{step.routine}()"]
+
+
+_RANK = (Status.RANK_DEFICIENT_CONSISTENT, Status.RANK_DEFICIENT_INCONSISTENT, Status.REGULARISED)
+_REFUSED = (Status.NONFINITE, Status.NOT_CONVERGED, Status.OVERFLOW)
+
+STEPS: dict[type, Row] = {
+    Evaluate: Row(
+        "evaluate",
+        lambda step: (),
+        lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
+        (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
+        False,
+        lambda step: f"evaluate {', '.join(step.into)}",
+    ),
+    Solve: Row(
+        "solve",
+        lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
+        _solved,
+        (*_RANK, *_REFUSED),
+        True,
+        lambda step: _answer_line(step, "solve"),
+    ),
+    Apply: Row(
+        "apply",
+        lambda step: (step.right, *([step.free] if step.free else [])),
+        _solved,
+        (*_RANK, Status.NONFINITE, Status.OVERFLOW),
+        True,
+        lambda step: _answer_line(step, "the pseudo-inverse at hand"),
+    ),
+    React: Row(
+        "react",
+        lambda step: (step.matrix, step.right, step.jacobian),
+        _reacted,
+        (*_RANK, *_REFUSED),
+        False,
+        lambda step: f"{step.into} = {step.jacobian}^T {step.matrix}^+ {step.right}",
+    ),
+    Multiply: Row(
+        "multiply",
+        lambda step: (step.entries, step.vector),
+        _multiplied,
+        (Status.OVERFLOW,),
+        True,
+        lambda step: f"{step.into} = {step.entries} {step.vector}",
+    ),
+    Invert: Row(
+        "invert",
+        lambda step: (step.matrix,),
+        lambda step, shapes: (shapes[step.matrix][1], shapes[step.matrix][0]),
+        (*_RANK, *_REFUSED),
+        True,
+        lambda step: f"{step.into} = {step.matrix}^+",
+    ),
+    Project: Row(
+        "project",
+        lambda step: (step.of,),
+        _projected,
+        (*_RANK, *_REFUSED),
+        False,
+        lambda step: f"{step.into} = the nearest to {step.of} with {step.value} = 0",
+    ),
+    Advance: Row(
+        "advance",
+        lambda step: (step.of, step.rate, step.dt),
+        _advanced,
+        (Status.NONFINITE, Status.OVERFLOW),
+        True,
+        lambda step: f"{step.into} = {step.of} + {step.dt} {step.rate}",
+    ),
+    Call: Row(
+        "call",
+        lambda step: (step.moved[1],) if step.moved else (),
+        _called,
+        (),  # those of the routine
+        True,
+        lambda step: f"{step.into} = {step.routine}" + (f" at {step.moved[0]} = {step.moved[1]}" if step.moved else ""),
+    ),
+}
+
+
+def _answer_line(step: Solve | Apply, how: str) -> str:
+    inner = f"({step.right} - {step.matrix} {step.free})" if step.free else step.right
+    return f"{step.into} = {step.free + ' + ' if step.free else ''}{step.matrix}^+ {inner}, by {how}"
+
+
+def handed_out(step: Evaluate | Project) -> tuple[str, ...]:
+    """The quantities that its kernel hands out."""
+    return step.into if isinstance(step, Evaluate) else step.quantities
+
+
+def row_of(step: Step) -> Row:
+    """The row of the table for a step."""
+    return STEPS[type(step)]

@@ -1,0 +1,247 @@
+"""What each step of a law ought to leave: 50-digit values, how far correctly rounded code may be off, and a status.
+
+One function a step, in ANSWERS. Tolerances are first-order: what the errors of a step's inputs do to its result, and
+the rounding of its own arithmetic; a solve may err by BAR u kappa (|tau| + |y|) beyond the former.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import flint
+import mpmath as mp
+import numpy as np
+
+from servogen import exact
+from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import as_fraction
+from servogen.law.steps import STATE, Advance, Apply, Multiply, React, Solve, Step
+from servogen.plan import textbook_solver
+from servogen.plan.solver import SolverPlan
+from servogen.results import FloatArray, Info, Status
+from servogen.singular import pseudo_solution
+from servogen.verify.vectors import ANY_ANSWER, ANY_RANK
+
+BAR = 8.0
+"""tau may err by BAR u kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
+
+_TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
+
+Exact = list[Any]  # mpf values, row by row
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Everything about one state: the truth, and the scalar's own answers by the interpreter."""
+
+    values: dict[str, Exact]
+    bounds: dict[str, FloatArray]
+    rounded: dict[str, FloatArray]
+    status: Status  # of the quantities that need Q, before any solve
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Expected tau with its tolerance (inf: not compared), status and rank."""
+
+    tau: Exact
+    tolerance: float
+    status: int
+    rank: int
+
+    @property
+    def known(self) -> bool:
+        """Whether there is anything to compare with."""
+        return self.status >= 0 and bool(np.isfinite(self.tolerance))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a step sees: the point, the answers of steps before it, the inputs, and the solvers' plans."""
+
+    point: Point
+    inputs: Mapping[str, Any]
+    solvers: Mapping[str, SolverPlan]
+    answers: dict[str, Answer] = field(default_factory=dict)
+
+
+def unknown(size: int, status: int = ANY_ANSWER, rank: int = ANY_RANK) -> Answer:
+    """An answer of which nothing but perhaps the status is known."""
+    return Answer([mp.mpf(0)] * size, np.inf, status, rank)
+
+
+def worse(first: int, second: int) -> int:
+    """The status of two steps one after the other, neither of them negative."""
+    return ANY_ANSWER if ANY_ANSWER in (first, second) else max(first, second)
+
+
+def _solve(step: Solve | Apply, at: Surroundings) -> Answer:
+    """y + M+ (right - M y). Whether a right side with errors of its own is consistent, is not decided."""
+    solver, right = at.solvers[step.solver], at.answers.get(step.right)
+    if right is None:
+        return solved(at.point, step.matrix, step.right, _free(step, at), solver)
+    if not right.known:
+        return unknown(solver.l)
+    rounded = np.array([float(v) for v in right.tau]).astype(solver.scalar)
+    limits = np.full(len(rounded), right.tolerance)
+    p = at.point
+    point = Point(
+        p.values | {step.right: right.tau}, p.bounds | {step.right: limits}, p.rounded | {step.right: rounded}, p.status
+    )
+    answer = solved(point, step.matrix, step.right, _free(step, at), solver)
+    if 0 < answer.status <= Status.RANK_DEFICIENT_INCONSISTENT and np.any(rounded):
+        return Answer(answer.tau, answer.tolerance, ANY_ANSWER, answer.rank)
+    return answer
+
+
+def _free(step: Solve | Apply, at: Surroundings) -> str | FloatArray | None:
+    """y as solved() takes it."""
+    if step.free.startswith(STATE):
+        return np.asarray(at.inputs[step.free.removeprefix(STATE)])
+    return step.free or None
+
+
+def _react(step: React, at: Surroundings) -> Answer:
+    """J^T times the multipliers, those of the system in the code's own units."""
+    solver, point = at.solvers[step.solver], at.point
+    m = solver.m
+    n = len(point.values[step.jacobian]) // m
+    point = _in_own_units(point, step, m) if m > 1 else point
+    force = solved(point, step.matrix, step.right, None, solver)
+    if not force.known:
+        return unknown(n, force.status if force.status < 0 else ANY_ANSWER, force.rank)
+    with mp.workdps(DIGITS):
+        J = [point.values[step.jacobian][n * i : n * (i + 1)] for i in range(m)]
+        R = [mp.fsum(J[i][c] * force.tau[i] for i in range(m)) for c in range(n)]
+    size, reach = norm(point.values[step.jacobian]), norm(force.tau)
+    tolerance = size * force.tolerance + norm(point.bounds[step.jacobian]) * reach
+    tolerance += (m + 1) * solver.epsilon * size * reach + m * float(np.finfo(solver.scalar).smallest_subnormal)
+    return Answer(R, tolerance, force.status, force.rank)
+
+
+def _multiply(step: Multiply, at: Surroundings) -> Answer:
+    """N x for an x that a step left."""
+    x, entries = at.answers[step.vector], at.point.values[step.entries]
+    with mp.workdps(DIGITS):
+        tau = [mp.fsum(entries[e] * x.tau[j] for e, j in row) for row in step.pattern]
+    size, reach = norm(entries), norm(x.tau)
+    tolerance = size * x.tolerance + norm(at.point.bounds[step.entries]) * reach if x.tolerance < np.inf else np.inf
+    epsilon = next(iter(at.solvers.values())).epsilon
+    return Answer(tau, tolerance + (len(step.pattern) + 1) * epsilon * size * reach, x.status, x.rank)
+
+
+ANSWERS: dict[type, Callable[[Any, Surroundings], Answer]] = {
+    Solve: _solve,
+    Apply: _solve,
+    React: _react,
+    Multiply: _multiply,
+}
+"""Steps that work on what an evaluation left; truth.py has those that evaluate, and calls."""
+
+
+def answer_of(step: Step, at: Surroundings) -> Answer:
+    """What a step of ANSWERS ought to leave at a state."""
+    return ANSWERS[type(step)](step, at)
+
+
+def advanced(step: Advance, start: FloatArray, rate: Answer, dt: float) -> tuple[Exact, float]:
+    """start + dt rate, and the 2-norm of the error it comes with; where the rate is not known, the start."""
+    with mp.workdps(DIGITS):
+        values = [mp.mpf(float(x)) for x in start]
+        if not rate.known:
+            return values, np.inf
+        return [a + dt * b for a, b in zip(values, rate.tau, strict=True)], dt * rate.tolerance
+
+
+def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None, solver: SolverPlan) -> Answer:
+    """What a solve gives for the system (matrix, right) at a point; free: y, or its name among the quantities."""
+    l = solver.l
+    S, z = point.rounded[matrix].reshape(-1, l), point.rounded[right]
+    y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
+    _, info = textbook_solver.solve(S, z, y_rounded, solver)
+    if info.status < 0:
+        return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
+    y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
+    if info.rank == 0:
+        error = norm(point.bounds[free]) if isinstance(free, str) else 0.0
+        return Answer(y, error, info.status, 0)
+    if info.rank < min(solver.m, l) or info.status == Status.REGULARISED:
+        return _truncated(point, matrix, right, y_rounded, info, solver)
+    y_error = norm(point.bounds[free]) if isinstance(free, str) else 0.0
+    tau, tolerance = _full_rank(point, matrix, right, y, y_error, solver)
+    return Answer(tau, tolerance, info.status if np.isfinite(tolerance) else ANY_ANSWER, info.rank)
+
+
+def _full_rank(
+    point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: SolverPlan
+) -> tuple[Exact, float]:
+    """tau to 50 digits, and the 2-norm by which the code may miss it."""
+    m, l = solver.m, solver.l
+    if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
+        return y, np.inf
+    S = _rational(point.values[matrix], m, l)
+    inverse = exact.pinv_full(S)
+    tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
+    sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
+    S_error, z_error = norm(point.bounds[matrix]), norm(point.bounds[right])
+    sigma = np.linalg.svd(sizes, compute_uv=False)
+    reach = norm(exact.nearest(tau)) + norm(y)
+    if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
+        return y, np.inf
+    rounding = BAR * solver.epsilon * sigma[0] / sigma[-1] * reach
+    rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
+    residual = norm(exact.nearest(rest))
+    carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
+    smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
+    return _values(tau), float(rounding + carried + 2 * y_error + smallest)
+
+
+def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: SolverPlan) -> Answer:
+    """tau of a system below full rank or damped: that of the SVD at 50 digits of the scalar's own S, z and y.
+
+    The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
+    """
+    S, z = point.rounded[matrix].reshape(solver.m, solver.l), point.rounded[right]
+    tau, kappa = pseudo_solution(textbook_solver.counted_rows(S, solver), z, y, info.rank, solver.damping)
+    residual = norm(z - S @ np.array([float(v) for v in tau]))
+    size = norm(S)
+    carried = kappa * residual / size if size > 0 else 0.0
+    tolerance = BAR * solver.epsilon * kappa * (norm(tau) + norm(y) + carried)
+    return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
+
+
+def _in_own_units(point: Point, step: React, m: int) -> Point:
+    """The rows of J, and with them both sides of the system of R, in the code's powers of two."""
+    unit = -textbook_solver.symmetric_units(point.rounded[step.matrix].reshape(m, m).astype(float))
+    by_row = np.repeat(unit, len(point.values[step.jacobian]) // m)
+    shifts = {step.matrix: (unit[:, None] + unit).ravel(), step.right: unit, step.jacobian: by_row}
+    values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)
+    for name, shift in shifts.items():
+        values[name] = [mp.ldexp(v, int(k)) for v, k in zip(values[name], shift, strict=True)]
+        with np.errstate(over="ignore"):
+            bounds[name] = np.ldexp(bounds[name].ravel(), shift)
+            rounded[name] = np.ldexp(rounded[name].ravel(), shift.astype(np.int32))
+    return Point(values, bounds, rounded, point.status)
+
+
+def norm(values: Any) -> float:
+    """2-norm of numbers of any kind, without overflow or underflow on the way."""
+    sizes = np.array([abs(float(v)) for v in np.ravel(values)])
+    largest = float(np.max(sizes, initial=0.0))
+    return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
+
+
+def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
+    """mpf values as exact rationals."""
+    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
+
+
+def _fmpq(value: Any) -> Any:
+    fraction = as_fraction(value)
+    return flint.fmpq(fraction.numerator, fraction.denominator)
+
+
+def _values(column: exact.Matrix) -> Exact:
+    with mp.workdps(DIGITS):
+        entries = [column[i, 0] for i in range(column.nrows())]
+        return [mp.mpf(int(q.p)) / int(q.q) for q in entries]
