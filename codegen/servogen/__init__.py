@@ -4,7 +4,7 @@ The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints B
 """
 
 from servogen import urdf
-from servogen.compiler import build, build_solver
+from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
 from servogen.package import Package
 from servogen.results import Control, Info, Path, Status
@@ -14,7 +14,6 @@ from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Parameter, Parameters, Ref, References
 from servogen.simulate.simulation import Simulation
-from servogen.twins.reference import reference
 from servogen.version import VERSION
 
 __version__ = VERSION

@@ -14,13 +14,14 @@ from servogen.errors import SceneError
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
-from servogen.plan.planner import plan, plan_functions, plan_solver_only
+from servogen.plan.planner import plan, plan_functions, plan_scene_solver, plan_solver_only
 from servogen.render.render import render
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
+from servogen.twins.reference import ReferenceTwin, reference_twin
 
 
 def build(
@@ -99,6 +100,23 @@ def build_plant(
     quantities, mass = derive_plant(scene)
     module = compile_functions(scene, quantities, mass, target_for(f"{scene.name}_plant", scalar, prefix, math))
     return write(render(module), out, module, scene)
+
+
+def reference(scene: Scene, scalar: Scalar = "float64") -> ReferenceTwin:
+    """The scene as a twin computed in Python, straight from the textbook formulas: numpy, and its SVD.
+
+    It shares no code with the generated C, and writes its own thresholds of rank and consistency; only the noise below
+    which a row counts as zero (the default of the solver's atol) is that of the code. For float32, inputs, parameters
+    and results are rounded to it; the computation itself stays in float64.
+    Raises SceneError where `scene` is no Scene, or where prepare refuses the parameters' defaults.
+    """
+    check_scene(scene, "sg.reference")
+    return reference_twin(scene, scalar, noise_of)
+
+
+def noise_of(scene: Scene, scalar: Scalar) -> tuple[float, ...]:
+    """Per row of the scene's system, the tolerance that its code has where the user gave none."""
+    return plan_scene_solver(*optimised_scene(scene), scalar).atol
 
 
 def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, target: Target) -> Module:

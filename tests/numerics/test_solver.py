@@ -10,10 +10,11 @@ import servogen as sg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from servogen import exact
-from servogen.plan import textbook_solver
 from servogen.plan.solver import plan_solver
 from servogen.results import Path, Status
 from servogen.scalars import EPSILON
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import policy_for
 from servogen.verify.stress import core
 from servogen.verify.stress.matrices import with_spectra
 
@@ -198,7 +199,7 @@ def test_like_the_textbook(shape, solver, scalar):
     """Rows of unlike size, low ranks, every option: decisions alike, answers to the digits the condition leaves."""
     generator = np.random.default_rng(7)
     m, l = shape
-    plan = plan_solver(m, l, scalar, solver)
+    plan = policy_for(m, l, scalar, solver)
     compared = 0
     for _ in range(150):
         rank = generator.integers(0, min(m, l) + 1)
@@ -206,7 +207,7 @@ def test_like_the_textbook(shape, solver, scalar):
         S = np.ldexp(S, generator.integers(-3, 4, m)[:, None]).astype(scalar)
         z = (generator.integers(-3, 4, m) if generator.integers(2) else S @ generator.integers(-3, 4, l)).astype(scalar)
         y = generator.integers(-2, 3, l).astype(scalar)
-        expected, textbook = textbook_solver.solve(S, z, y, plan)
+        expected, textbook = pseudo_inverse.solve(S, z, y, plan)
         tau, info = twin(m, l, scalar, solver).solve(S, z, y)
         sigma = np.linalg.svd(S.astype(float), compute_uv=False)
         if _near_a_decision(S, plan):

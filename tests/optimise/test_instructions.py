@@ -39,7 +39,7 @@ def measured(name: str, cc: str, optimisation: str, folder: Path) -> tuple[tuple
     fields = package.module.inputs
     values = np.random.default_rng(5).uniform(-1, 1, sum(f.size for f in fields)).tolist()
     casadi_c(scene, folder)
-    kernel = f"{package.prefix}_eval_{package.module.control.kernel.name}" if package.module.control else ""
+    kernel = f"{package.prefix}_eval_{package.module.control.name}" if package.module.control else ""
     members, k = [], 0
     for f in fields:
         numbers = ", ".join(repr(v) for v in values[k : k + f.size])

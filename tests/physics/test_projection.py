@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import servogen as sg
 from scipy.optimize import minimize
+from servogen.derive import controls
 from servogen.loading import load_scene
-from servogen.plan import planner
 from servogen.scene.domain import draw_states
 from servogen.verify.check import check
 from support.models import awkward_scenes, random_scene
@@ -62,7 +62,7 @@ def test_convergence_is_quadratic(monkeypatch: pytest.MonkeyPatch) -> None:
     for angle in np.linspace(0.1, 6.2, 20):
         start = 2.5 * np.array([np.cos(angle), np.sin(angle)]) + [0.0, 0.2]
         for cap in range(1, 26):
-            monkeypatch.setattr("servogen.twins.reference.PROJECTION_CAP", cap)
+            monkeypatch.setattr("servogen.twins.reference.BENT_CAP", cap)
             if sg.reference(CIRCLE).project(u=[0, 0], tau=start).info.status >= 0:
                 needed.append(cap)
                 break
@@ -77,7 +77,7 @@ def test_both_twins_give_up_alike() -> None:
         answer = twin.project(u=[0.3, 0.0], tau=[1.0, 2.0], last=[7.0, 8.0])
         assert answer.info.status == sg.Status.NOT_CONVERGED
         assert np.array_equal(answer.value, [7.0, 8.0])
-    assert f"at most {planner.PROJECTION_CAP} steps" in (sg.build(nowhere).path / "nowhere.h").read_text()
+    assert f"at most {controls.BENT_CAP} steps" in (sg.build(nowhere).path / "nowhere.h").read_text()
 
 
 @pytest.mark.parametrize("far", [1e3, 1e16, -1e25])

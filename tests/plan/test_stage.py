@@ -10,13 +10,14 @@ import servogen as sg
 from hypothesis import given
 from hypothesis import strategies as st
 from servogen.compiler import compile_scene, target_for
+from servogen.derive.controls import AFFINE_CAP, BENT_CAP
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import evaluate
 from servogen.ir.program import Program, check_legal
+from servogen.law.steps import Project
 from servogen.loading import load_scene
 from servogen.optimise.passes import optimise
 from servogen.plan.module import Module
-from servogen.plan.planner import AFFINE_CAP, PROJECTION_CAP
 from servogen.plan.stage import Staged, cut, stage
 from support.models import awkward_scenes, random_scene
 from support.programs import TAME, examples, programs, random_states
@@ -140,13 +141,14 @@ def test_entry_points() -> None:
     assert [e.name for e in compiled(scenes["plain"]).entry_points] == ["psi", "S", "z", "S_z"]
     module = compiled(scenes["one_cubic"])
     assert [e.name for e in module.entry_points] == ["phi", "A", "B", "A_B"]
-    assert module.control is not None
-    assert module.control.curvature == ((0, 0, 0),)  # d^2 phi / d tau^2
-    assert module.control.projection_cap == PROJECTION_CAP
-    affine = compiled(scenes["one_control"]).control
-    assert affine is not None
-    assert affine.curvature == ()
-    assert affine.projection_cap == AFFINE_CAP
+    (bent,) = module.law.routine("project").steps
+    assert isinstance(bent, Project)
+    assert bent.places == ((0, 0, 0),)  # d^2 phi / d tau^2
+    assert bent.cap == BENT_CAP
+    (affine,) = compiled(scenes["one_control"]).law.routine("project").steps
+    assert isinstance(affine, Project)
+    assert affine.places == ()
+    assert affine.cap == AFFINE_CAP
 
 
 def test_every_skip_is_said() -> None:

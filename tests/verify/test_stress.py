@@ -15,10 +15,10 @@ import pytest
 from click.testing import CliRunner
 from servogen import exact
 from servogen.cli.main import cli
-from servogen.plan import textbook_solver
-from servogen.plan.solver import plan_solver
 from servogen.report.stress import CLAIMS, render_stress
 from servogen.results import Info
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import policy_for
 from servogen.tools import ToolMissing
 from servogen.verify import stress
 from servogen.verify.stress import bars, core, journal, matrices
@@ -30,17 +30,17 @@ class Textbook:
     """The textbook solver on stacks, with a place to spoil it. Rounded to the target type."""
 
     def __init__(self, m, l, scalar, solver, spoil=lambda x: x):
-        self.plan, self.spoil = plan_solver(m, l, scalar, solver), spoil
+        self.plan, self.spoil = policy_for(m, l, scalar, solver), spoil
 
     def solve(self, S, z, y=None, last=None):
         many = [
-            textbook_solver.solve(S[i], z[i], None if y is None else y[i], self.plan, None if last is None else last[i])
+            pseudo_inverse.solve(S[i], z[i], None if y is None else y[i], self.plan, None if last is None else last[i])
             for i in range(len(S))
         ]
         return self.spoil(np.array([x for x, _ in many], self.plan.scalar)), [info for _, info in many]
 
     def pinv(self, S, last=None):
-        many = [textbook_solver.pinv(S[i], self.plan, None if last is None else last[i]) for i in range(len(S))]
+        many = [pseudo_inverse.pinv(S[i], self.plan, None if last is None else last[i]) for i in range(len(S))]
         return self.spoil(np.array([x for x, _ in many], self.plan.scalar)), [info for _, info in many]
 
 

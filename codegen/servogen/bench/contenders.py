@@ -13,7 +13,7 @@ import numpy as np
 from servogen.bench import user
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Output, labels
-from servogen.compiler import compile_scene, target_for
+from servogen.compiler import compile_scene, reference, target_for
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input
 from servogen.plan.module import Module, StructField
@@ -21,7 +21,6 @@ from servogen.render.render import SourceFile, render
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.twins.reference import reference
 
 BASELINE = "CasADi cse"
 

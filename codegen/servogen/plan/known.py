@@ -8,12 +8,14 @@ import numpy as np
 
 from servogen import exact
 from servogen.ir.program import Program
-from servogen.plan import textbook_solver
 from servogen.plan.module import Kernel, Known, Result
 from servogen.plan.solver import Operations, SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.results import Status
+from servogen.scene.solver import Solver
 from servogen.singular import pseudo_solution, smallest_singular_value
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import policy_for
 
 
 def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | None:
@@ -50,8 +52,10 @@ def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> Known
     m, l = solver.m, solver.l
     matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
     values = exact.nearest(matrix)
-    counted = textbook_solver.counted_rows(values, solver)
-    _, info = textbook_solver.pinv(values, solver)
+    users = Solver(rank=solver.rank, rtol=solver.rtol, atol=solver.atol, damping=solver.damping)
+    policy = policy_for(m, l, solver.scalar, users)
+    counted = pseudo_inverse.counted_rows(values, policy)
+    _, info = pseudo_inverse.pinv(values, policy)
     if info.rank == exact.rank(matrix) and np.array_equal(counted, values) and info.status != Status.REGULARISED:
         entries = exact.pinv(matrix)
         numbers = [Fraction(int(q.p), int(q.q)) for q in (entries[i, j] for i in range(l) for j in range(m))]

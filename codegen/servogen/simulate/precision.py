@@ -11,13 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
+from servogen.compiler import reference
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.simulation import METHODS, Simulation, moving_references, start_values
 from servogen.simulate.trajectory import Trajectory
-from servogen.twins.reference import reference
 
 
 @dataclass(frozen=True)

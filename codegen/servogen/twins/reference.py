@@ -1,54 +1,59 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from servogen.compiler import optimised_scene
 from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
-from servogen.plan import textbook_solver
-from servogen.plan.planner import plan_scene_solver
-from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.domain import draw_states
-from servogen.scene.scene import Scene, check_scene
+from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.interface import Twin, finite, refusal
 
 _WITHOUT_MASS = {"psi", "phi", "A"}
 
 
-def reference(scene: Scene, scalar: Scalar = "float64") -> "ReferenceTwin":
+Noise = Callable[[Scene, Scalar], tuple[float, ...]]
+"""Per row of the system's matrix, the rounding noise of the generated code where the row vanishes."""
+
+
+def reference_twin(scene: Scene, scalar: Scalar, noise: Noise) -> "ReferenceTwin":
     """The scene computed straight from Eqs. (1)-(12), (36)-(41) and (54): Jacobians by CasADi, the rest by numpy.
 
     For float32, inputs, parameters and results are rounded to it; the computation itself stays in float64.
     """
-    check_scene(scene, "sg.reference")
     kinds = {"servo": ReferenceServo, "ideal": ReferenceIdeal, "controls": ReferenceControls}
-    return kinds[scene.kind](scene, scalar)
+    return kinds[scene.kind](scene, scalar, noise)
 
 
 class ReferenceTwin(Twin):
     """A scene's textbook formulas behind the interface of a twin."""
 
-    def __init__(self, scene: Scene, scalar: Scalar) -> None:
+    def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
+        self._noise = noise
         self._function, self._names = _jacobians(scene)
         self._fixed = set(self._names["fixed"])
         self._parameters: dict[str, FloatArray] = {}
         super().__init__(scene, scalar)
 
     @cached_property
-    def _plan(self) -> SolverPlan:
-        """The code's tolerances: they say what counts as rank, and a row's default one is the noise of the code."""
-        return plan_scene_solver(*optimised_scene(self.scene), self.scalar)
+    def _policy(self) -> Policy:
+        """What counts as rank; a row's default tolerance is the noise of the code, which only the code knows."""
+        solver = self.scene.solver
+        noise = self._noise(self.scene, self.scalar) if solver.atol is None else None
+        return policy_for(*self.scene.system_shape, self.scalar, solver, noise)
 
     @cached_property
     def _definite(self) -> bool:
@@ -142,7 +147,7 @@ class ReferenceTwin(Twin):
         return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
-        inverse, info = textbook_solver.pinv(self._round(matrix), self._plan)
+        inverse, info = pseudo_inverse.pinv(self._round(matrix), self._policy)
         if info.status < 0:
             inverse = np.full(inverse.shape, np.nan)
         return inverse.astype(self.dtype), info
@@ -156,7 +161,7 @@ class ReferenceTwin(Twin):
         S = result[matrix].reshape(self.scene.system_shape)
         y = result["y"].ravel()
         if "weight" not in result:
-            tau, info = textbook_solver.solve(S, result[right].ravel(), y, self._plan, last)
+            tau, info = pseudo_inverse.solve(S, result[right].ravel(), y, self._policy, last)
         else:
             with np.errstate(all="ignore"):
                 tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
@@ -171,7 +176,7 @@ class ReferenceTwin(Twin):
         values, vectors = np.linalg.eigh(W)
         root = (vectors * np.sqrt(values)) @ vectors.T
         inverse = (vectors / np.sqrt(values)) @ vectors.T
-        sigma, info = textbook_solver.solve(S @ inverse, z, root @ y, self._plan)
+        sigma, info = pseudo_inverse.solve(S @ inverse, z, root @ y, self._policy)
         return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
@@ -189,18 +194,18 @@ class ReferenceServo(ReferenceTwin):
 class ReferenceIdeal(ReferenceTwin):
     """R = Q T^-1 F - P by the nonminimal form T u' = F, Eqs. (13)-(17), (26); u_D chosen at each state."""
 
-    def __init__(self, scene: Scene, scalar: Scalar) -> None:
-        self._reaction = plan_solver(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
+    def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
+        self._reaction = policy_for(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
         self._dependent = dependent_columns(scene, constraint_rows(scene)[1])
-        super().__init__(scene, scalar)
+        super().__init__(scene, scalar, noise)
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         J, Q, P = given["J"], given["Q"], given["P"].ravel()
         b = (given["prescribed"] - given["X"]).ravel()
-        unit = np.ldexp(1.0, -textbook_solver.symmetric_units(J @ np.linalg.solve(Q, J.T)))
+        unit = np.ldexp(1.0, -pseudo_inverse.symmetric_units(J @ np.linalg.solve(Q, J.T)))
         J, b = unit[:, None] * J, unit * b
         inertia = J @ np.linalg.solve(Q, J.T)
-        _, info = textbook_solver.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
+        _, info = pseudo_inverse.solve(inertia, b - J @ np.linalg.solve(Q, P), None, self._reaction)
         R = np.full(len(P), 0.0 if info.status >= 0 else np.nan)
         if info.rank > 0:
             from scipy.linalg import qr  # here, for it takes a third of the time to import servogen
@@ -305,7 +310,7 @@ class ReferenceControls(ReferenceTwin):
             if status < 0:
                 return Control(last, refusal(status))
             A, phi = result["A"].reshape(m, l), result["phi"].ravel()
-            inverse, _ = textbook_solver.pinv(A, self._plan)
+            inverse, _ = pseudo_inverse.pinv(A, self._policy)
             bends = self.parts(inputs | {"tau": now})["bends"].reshape(m, l, l)
             with np.errstate(all="ignore"):
                 force = inverse.T @ (start - now)
@@ -315,7 +320,7 @@ class ReferenceControls(ReferenceTwin):
                 back = np.linalg.solve(L, start - now - A.T @ force)
             if not finite([inner, back]):
                 return Control(last, refusal(Status.OVERFLOW))
-            move, info = textbook_solver.solve(inner, -phi, back, self._plan)
+            move, info = pseudo_inverse.solve(inner, -phi, back, self._policy)
             if info.status < 0:
                 return Control(last, info)
             change = np.linalg.solve(L.T, np.asarray(move, dtype=float))

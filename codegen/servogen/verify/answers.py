@@ -16,10 +16,10 @@ from servogen import exact
 from servogen.ir.evaluate import DIGITS
 from servogen.ir.numbers import as_fraction
 from servogen.law.steps import STATE, Advance, Apply, Multiply, React, Solve, Step
-from servogen.plan import textbook_solver
-from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Status
 from servogen.singular import pseudo_solution
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import Policy
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK
 
 BAR = 8.0
@@ -57,11 +57,11 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a step sees: the point, the answers of steps before it, the inputs, and the solvers' plans."""
+    """What a step sees: the point, the inputs, what counts as rank to each solver, and what steps before it left."""
 
     point: Point
     inputs: Mapping[str, Any]
-    solvers: Mapping[str, SolverPlan]
+    policies: Mapping[str, Policy]
     answers: dict[str, Answer] = field(default_factory=dict)
 
 
@@ -77,7 +77,7 @@ def worse(first: int, second: int) -> int:
 
 def _solve(step: Solve | Apply, at: Surroundings) -> Answer:
     """y + M+ (right - M y). Whether a right side with errors of its own is consistent, is not decided."""
-    solver, right = at.solvers[step.solver], at.answers.get(step.right)
+    solver, right = at.policies[step.solver], at.answers.get(step.right)
     if right is None:
         return solved(at.point, step.matrix, step.right, _free(step, at), solver)
     if not right.known:
@@ -103,7 +103,7 @@ def _free(step: Solve | Apply, at: Surroundings) -> str | FloatArray | None:
 
 def _react(step: React, at: Surroundings) -> Answer:
     """J^T times the multipliers, those of the system in the code's own units."""
-    solver, point = at.solvers[step.solver], at.point
+    solver, point = at.policies[step.solver], at.point
     m = solver.m
     n = len(point.values[step.jacobian]) // m
     point = _in_own_units(point, step, m) if m > 1 else point
@@ -126,7 +126,7 @@ def _multiply(step: Multiply, at: Surroundings) -> Answer:
         tau = [mp.fsum(entries[e] * x.tau[j] for e, j in row) for row in step.pattern]
     size, reach = norm(entries), norm(x.tau)
     tolerance = size * x.tolerance + norm(at.point.bounds[step.entries]) * reach if x.tolerance < np.inf else np.inf
-    epsilon = next(iter(at.solvers.values())).epsilon
+    epsilon = next(iter(at.policies.values())).epsilon
     return Answer(tau, tolerance + (len(step.pattern) + 1) * epsilon * size * reach, x.status, x.rank)
 
 
@@ -153,12 +153,12 @@ def advanced(step: Advance, start: FloatArray, rate: Answer, dt: float) -> tuple
         return [a + dt * b for a, b in zip(values, rate.tau, strict=True)], dt * rate.tolerance
 
 
-def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None, solver: SolverPlan) -> Answer:
+def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None, solver: Policy) -> Answer:
     """What a solve gives for the system (matrix, right) at a point; free: y, or its name among the quantities."""
     l = solver.l
     S, z = point.rounded[matrix].reshape(-1, l), point.rounded[right]
     y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
-    _, info = textbook_solver.solve(S, z, y_rounded, solver)
+    _, info = pseudo_inverse.solve(S, z, y_rounded, solver)
     if info.status < 0:
         return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
     y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
@@ -172,9 +172,7 @@ def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None,
     return Answer(tau, tolerance, info.status if np.isfinite(tolerance) else ANY_ANSWER, info.rank)
 
 
-def _full_rank(
-    point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: SolverPlan
-) -> tuple[Exact, float]:
+def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: Policy) -> tuple[Exact, float]:
     """tau to 50 digits, and the 2-norm by which the code may miss it."""
     m, l = solver.m, solver.l
     if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
@@ -196,13 +194,13 @@ def _full_rank(
     return _values(tau), float(rounding + carried + 2 * y_error + smallest)
 
 
-def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: SolverPlan) -> Answer:
+def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: Policy) -> Answer:
     """tau of a system below full rank or damped: that of the SVD at 50 digits of the scalar's own S, z and y.
 
     The rank is the textbook's decision. Such an answer jumps with S, so nothing but the solver is judged by it.
     """
     S, z = point.rounded[matrix].reshape(solver.m, solver.l), point.rounded[right]
-    tau, kappa = pseudo_solution(textbook_solver.counted_rows(S, solver), z, y, info.rank, solver.damping)
+    tau, kappa = pseudo_solution(pseudo_inverse.counted_rows(S, solver), z, y, info.rank, solver.damping)
     residual = norm(z - S @ np.array([float(v) for v in tau]))
     size = norm(S)
     carried = kappa * residual / size if size > 0 else 0.0
@@ -212,7 +210,7 @@ def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info,
 
 def _in_own_units(point: Point, step: React, m: int) -> Point:
     """The rows of J, and with them both sides of the system of R, in the code's powers of two."""
-    unit = -textbook_solver.symmetric_units(point.rounded[step.matrix].reshape(m, m).astype(float))
+    unit = -pseudo_inverse.symmetric_units(point.rounded[step.matrix].reshape(m, m).astype(float))
     by_row = np.repeat(unit, len(point.values[step.jacobian]) // m)
     shifts = {step.matrix: (unit[:, None] + unit).ravel(), step.right: unit, step.jacobian: by_row}
     values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)

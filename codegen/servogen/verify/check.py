@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from servogen import exact
-from servogen.compiler import build
+from servogen.compiler import build, reference
 from servogen.law.steps import STATE, SYSTEM, Apply, Multiply, Solve
 from servogen.package import Package
 from servogen.results import FloatArray, Status
@@ -17,7 +17,6 @@ from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
-from servogen.twins.reference import reference
 from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness

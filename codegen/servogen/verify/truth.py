@@ -12,22 +12,23 @@ import mpmath as mp
 import numpy as np
 
 from servogen import exact
-from servogen.compiler import optimised_scene
+from servogen.compiler import optimised_scene, reference
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
 from servogen.ir.rounding import rounding_bounds
 from servogen.law.law import Routine, of_the_state, shapes
 from servogen.law.steps import SYSTEM, Advance, Call, Evaluate, Project
-from servogen.plan import textbook_solver
 from servogen.plan.module import Module
 from servogen.plan.stage import cut
 from servogen.results import FloatArray, Info, Status
 from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
+from servogen.scene.solver import Solver
 from servogen.singular import pseudo_solution
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import policy_for
 from servogen.twins.interface import Twin
-from servogen.twins.reference import reference
 from servogen.verify.answers import (
     BAR,
     Answer,
@@ -64,8 +65,15 @@ class Truth:
     def __init__(self, scene: Scene, module: Module, states: State, drawn: int) -> None:
         assert module.solver is not None
         self.scene, self.module, self.drawn = scene, module, drawn
-        self.solver, self.law, self.shapes = module.solver, module.law, shapes(module.law)
+        self.law, self.shapes = module.law, shapes(module.law)
         self.scalar = module.target.scalar
+        self.policies = {
+            name: policy_for(*shape, self.scalar, scene.solver, module.solver.atol)
+            if name == SYSTEM
+            else policy_for(*shape, self.scalar, Solver(rank=scene.solver.rank))
+            for name, shape in self.law.solvers
+        }
+        self.solver = self.policies[SYSTEM]
         self.dtype = np.dtype(self.scalar).type
         with np.errstate(over="ignore"):
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
@@ -157,7 +165,7 @@ class Truth:
         if status < 0:
             return unknown(size, status, 0)
         inputs = {n: v[k] for n, v in self.inputs.items()}
-        at = Surroundings(self.points[k], inputs, self.module.solvers)
+        at = Surroundings(self.points[k], inputs, self.policies)
         for step in routine.steps[1:]:
             assert not isinstance(step, Evaluate)
             answer = answer_of(step, at)
@@ -226,7 +234,7 @@ class Truth:
         values, tolerance, status, rank = [], [], [], []
         for flat in matrices:
             S = flat.reshape(m, l).astype(float)
-            refused, info = textbook_solver.pinv(S, self.solver)
+            refused, info = pseudo_inverse.pinv(S, self.solver)
             truth, kappa = self._pseudo_inverse(S, info) if info.status >= 0 else (refused, 1.0)
             size = norm(truth)
             limit = BAR * self.solver.epsilon * kappa * size + float(np.finfo(self.scalar).smallest_subnormal)
@@ -245,7 +253,7 @@ class Truth:
 
     def _pseudo_inverse(self, S: FloatArray, info: Info) -> tuple[FloatArray, float]:
         """S+ and the condition of what it keeps: exact at full rank, else by the SVD at 50 digits."""
-        S = textbook_solver.counted_rows(S, self.solver)
+        S = pseudo_inverse.counted_rows(S, self.solver)
         if info.status != Status.REGULARISED and info.rank in (0, min(S.shape)):
             sigma = np.linalg.svd(S, compute_uv=False)
             with np.errstate(divide="ignore"):  # of subnormal rows the smallest may vanish: nothing to compare there
@@ -311,7 +319,7 @@ class Truth:
         values = point.values | {step.value: [-v for v in point.values[step.value]]}
         rounded = point.rounded | {step.value: -point.rounded[step.value]}
         negated = Point(values, point.bounds, rounded, point.status)
-        move = solved(negated, step.matrix, step.value, None, self.module.solvers[step.solver])
+        move = solved(negated, step.matrix, step.value, None, self.policies[step.solver])
         start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in tau]
         with mp.workdps(DIGITS):
             answer = [a + b for a, b in zip(start, move.tau, strict=True)]

@@ -1,4 +1,4 @@
-"""The pseudo-inverse straight from the textbook: numpy's SVD with the plan's rank policy and tolerances.
+"""The pseudo-inverse straight from the textbook: numpy's SVD with a rank policy and tolerances.
 
 The independent reference for the generated C: nothing is shared with the templates, everything is in double.
 """
@@ -8,66 +8,66 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.plan.solver import SolverPlan
 from servogen.results import FloatArray, Info, Path, Status
+from servogen.textbook.policy import Policy
 
 
 def solve(
     S: FloatArray,
     z: FloatArray,
     y: FloatArray | None,
-    plan: SolverPlan,
+    policy: Policy,
     last: FloatArray | None = None,
 ) -> tuple[FloatArray, Info]:
     """tau = y + S+ (z - S y), of shape (l,), and its info; S is (m, l), z (m,), y (l,) or None for zeros.
 
     Where the status is negative, tau is `last`, or zeros. Raises ValueError for wrong shapes.
     """
-    S = _shaped(S, (plan.m, plan.l), "S")
-    z = _shaped(z, (plan.m,), "z")
-    y = np.zeros(plan.l) if y is None else _shaped(y, (plan.l,), "y")
-    untouched = np.zeros(plan.l) if last is None else _shaped(last, (plan.l,), "last").copy()
+    S = _shaped(S, (policy.m, policy.l), "S")
+    z = _shaped(z, (policy.m,), "z")
+    y = np.zeros(policy.l) if y is None else _shaped(y, (policy.l,), "y")
+    untouched = np.zeros(policy.l) if last is None else _shaped(last, (policy.l,), "last").copy()
     if not (np.isfinite(S).all() and np.isfinite(z).all() and np.isfinite(y).all()):
         return untouched, _failed(Status.NONFINITE)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        left, sigma, right, row_unit, damped = _factors(S, plan)
-        if len(sigma) == plan.l and not damped:
-            y = np.zeros(plan.l)  # the one answer, whatever y
-        tau = y + right @ ((left.T @ (z / row_unit - (S / row_unit[:, None]) @ y)) * _filter(sigma, damped, plan))
-        if not _representable(tau, plan):
+        left, sigma, right, row_unit, damped = _factors(S, policy)
+        if len(sigma) == policy.l and not damped:
+            y = np.zeros(policy.l)  # the one answer, whatever y
+        tau = y + right @ ((left.T @ (z / row_unit - (S / row_unit[:, None]) @ y)) * _filter(sigma, damped, policy))
+        if not _representable(tau, policy):
             return untouched, _failed(Status.OVERFLOW)
         rank = len(sigma)
         status = Status.OK
-        if rank < plan.m:
-            met = _consistent(S, z, y, tau, plan)
+        if rank < policy.m:
+            met = _consistent(S, z, y, tau, policy)
             status = Status.RANK_DEFICIENT_CONSISTENT if met else Status.RANK_DEFICIENT_INCONSISTENT
         if damped:
             status = Status.REGULARISED
-        return tau, _info(status, rank, S, float(np.linalg.norm(z - S @ tau)), plan)
+        return tau, _info(status, rank, S, float(np.linalg.norm(z - S @ tau)), policy)
 
 
-def pinv(S: FloatArray, plan: SolverPlan, last: FloatArray | None = None) -> tuple[FloatArray, Info]:
+def pinv(S: FloatArray, policy: Policy, last: FloatArray | None = None) -> tuple[FloatArray, Info]:
     """S+, of shape (l, m), and its info. Where the status is negative, the matrix is `last`, or zeros."""
-    S = _shaped(S, (plan.m, plan.l), "S")
-    shape = (plan.l, plan.m)
+    S = _shaped(S, (policy.m, policy.l), "S")
+    shape = (policy.l, policy.m)
     untouched = np.zeros(shape) if last is None else _shaped(last, shape, "last").copy()
     if not np.isfinite(S).all():
         return untouched, _failed(Status.NONFINITE)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        left, sigma, right, row_unit, damped = _factors(S, plan)
-        matrix = (right * _filter(sigma, damped, plan)) @ left.T / row_unit
-        if not _representable(matrix, plan):
+        left, sigma, right, row_unit, damped = _factors(S, policy)
+        matrix = (right * _filter(sigma, damped, policy)) @ left.T / row_unit
+        if not _representable(matrix, policy):
             return untouched, _failed(Status.OVERFLOW)
         rank = len(sigma)
-        status = Status.OK if rank == plan.m else Status.RANK_DEFICIENT_CONSISTENT
+        status = Status.OK if rank == policy.m else Status.RANK_DEFICIENT_CONSISTENT
         if damped:
             status = Status.REGULARISED
-        return matrix, _info(status, rank, S, 0.0, plan)
+        return matrix, _info(status, rank, S, 0.0, policy)
 
 
-def counted_rows(S: FloatArray, plan: SolverPlan) -> FloatArray:
+def counted_rows(S: FloatArray, policy: Policy) -> FloatArray:
     """S, (m, l), with the rows at or below their atol set to zero, as the solver takes them."""
-    return np.where(np.max(np.abs(S), axis=1, keepdims=True) > np.array(plan.atol)[:, None], S, 0.0)
+    return np.where(np.max(np.abs(S), axis=1, keepdims=True) > np.array(policy.atol)[:, None], S, 0.0)
 
 
 def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
@@ -85,54 +85,54 @@ def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
     return np.where(np.isfinite(units), units, 0).astype(np.int64)
 
 
-def _factors(S: FloatArray, plan: SolverPlan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:
+def _factors(S: FloatArray, policy: Policy) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, bool]:
     """U, sigma, V and the rows' units D with D U diag(sigma) V^T = S truncated to its rank, and whether to damp.
 
     D is the identity (times one power of two) wherever the row scaling makes a difference to S+.
     """
-    S = counted_rows(S, plan)
+    S = counted_rows(S, policy)
     row_size = np.abs(S).max(axis=1)
     counted = row_size > 0
     if not counted.any():
-        return np.zeros((plan.m, 0)), np.zeros(0), np.zeros((plan.l, 0)), np.ones(plan.m), False
+        return np.zeros((policy.m, 0)), np.zeros(0), np.zeros((policy.l, 0)), np.ones(policy.m), False
 
     largest = _power_of_two(row_size[counted].max())
     row_length = row_size * np.linalg.norm(S / np.where(counted, row_size, 1.0)[:, None], axis=1)
     own = np.where(counted, _power_of_two(np.where(counted, row_length, 1.0)), largest)
-    common = np.full(plan.m, largest)
-    row_unit = own if plan.rank == "scaled" else common
+    common = np.full(policy.m, largest)
+    row_unit = own if policy.rank == "scaled" else common
 
     left, sigma, right = _svd(S / row_unit[:, None])
-    rank = int(np.sum(sigma > plan.rtol * sigma[0]))
+    rank = int(np.sum(sigma > policy.rtol * sigma[0]))
     left, sigma, right = left[:, :rank], sigma[:rank], right[:, :rank]
-    if plan.rank == "scaled":
+    if policy.rank == "scaled":
         raw_left, raw_sigma, raw_right = _svd((own / largest)[:, None] * left * sigma @ right.T)
         raw = raw_left[:, :rank], raw_sigma[:rank], raw_right[:, :rank]
-        too_small = plan.damping is not None and bool(np.any(raw_sigma[:rank] * largest < plan.damping))
+        too_small = policy.damping is not None and bool(np.any(raw_sigma[:rank] * largest < policy.damping))
         if rank < counted.sum() or too_small:
             (left, sigma, right), row_unit = raw, common
-    damped = plan.damping is not None and row_unit is common and bool(np.any(sigma * largest < plan.damping))
+    damped = policy.damping is not None and row_unit is common and bool(np.any(sigma * largest < policy.damping))
     # sigma in the unit of row_unit: the filter needs it in the unit of S where it damps
     if damped:
-        return left, sigma * largest, right, np.ones(plan.m), True
+        return left, sigma * largest, right, np.ones(policy.m), True
     return left, sigma, right, row_unit, False
 
 
-def _filter(sigma: FloatArray, damped: bool, plan: SolverPlan) -> FloatArray:
+def _filter(sigma: FloatArray, damped: bool, policy: Policy) -> FloatArray:
     """1 / sigma, or NUMERICS' filter below eps_d: sigma / eps_d^2 (2 - (sigma / eps_d)^2)."""
     plain = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
-    if not damped or plan.damping is None:
+    if not damped or policy.damping is None:
         return plain
-    ratio = sigma / plan.damping
-    return np.where(ratio < 1, ratio / plan.damping * (2 - ratio**2), plain)
+    ratio = sigma / policy.damping
+    return np.where(ratio < 1, ratio / policy.damping * (2 - ratio**2), plain)
 
 
-def _consistent(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, plan: SolverPlan) -> bool:
+def _consistent(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, policy: Policy) -> bool:
     """Every row met to a small backward error; a row's atol counts as uncertainty of each of its entries."""
     reach = np.linalg.norm(tau) + np.linalg.norm(y)
     size = np.linalg.norm(S, axis=1) * reach + np.abs(z)
-    noise = np.array(plan.atol) * math.sqrt(plan.l) * reach
-    return bool(np.all(np.abs(z - S @ tau) <= plan.consistency * size + noise))
+    noise = np.array(policy.atol) * math.sqrt(policy.l) * reach
+    return bool(np.all(np.abs(z - S @ tau) <= policy.consistency * size + noise))
 
 
 def _svd(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -145,8 +145,8 @@ def _power_of_two(x: FloatArray | float) -> FloatArray:
     return np.asarray(np.ldexp(1.0, np.frexp(x)[1] - 1))
 
 
-def _representable(values: FloatArray, plan: SolverPlan) -> bool:
-    return bool(np.isfinite(values.astype(plan.scalar)).all())
+def _representable(values: FloatArray, policy: Policy) -> bool:
+    return bool(np.isfinite(values.astype(policy.scalar)).all())
 
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
@@ -156,10 +156,10 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray
     return array
 
 
-def _info(status: Status, rank: int, S: FloatArray, residual: float, plan: SolverPlan) -> Info:
+def _info(status: Status, rank: int, S: FloatArray, residual: float, policy: Policy) -> Info:
     return Info(
         status=status,
-        path=Path.CLOSED_FORM if min(plan.m, plan.l) == 1 else Path.SVD,
+        path=Path.CLOSED_FORM if min(policy.m, policy.l) == 1 else Path.SVD,
         rank=rank,
         sweeps=0,
         sigma_min=float(np.linalg.svd(S, compute_uv=False)[-1]),

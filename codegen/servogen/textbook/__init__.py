@@ -1,0 +1,1 @@
+"""The pseudo-inverse as a textbook has it: what the generated solver is held against."""
