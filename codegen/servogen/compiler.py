@@ -11,6 +11,7 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
+from servogen.law.law import offered
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
@@ -32,6 +33,7 @@ def build(
     *,
     math: Math = "own",
     casadi_abi: bool = False,
+    entry_points: Sequence[str] | None = None,
 ) -> Package:
     """Generate the C of a scene.
 
@@ -39,17 +41,39 @@ def build(
     prefix: of all C names; default the scene's name, and name_f32 for float32.
     math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
     casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
-    Raises SceneError for anything wrong with the scene.
+    entry_points: the functions to generate, as ("control",), with prepare and what they call; None: all there are.
+    Raises SceneError for anything wrong with the scene, and for an entry point that it does not have.
     """
     check_scene(scene, "sg.build")
-    module = compile_scene(scene, target_for(scene.name, scalar, prefix, math))
+    target = target_for(scene.name, scalar, prefix, math)
+    module = compile_scene(scene, target, entry_points=entry_points)
+    if casadi_abi and not module.law.has("control"):
+        raise SceneError(
+            "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
+        )
     return write(render(module, casadi_abi), out, module, scene)
 
 
-def compile_scene(scene: Scene, target: Target, without: frozenset[str] = frozenset()) -> Module:
+def compile_scene(
+    scene: Scene, target: Target, without: frozenset[str] = frozenset(), entry_points: Sequence[str] | None = None
+) -> Module:
     """Scene -> Module: every stage but printing and writing. without: passes of the optimiser to leave out."""
     formulation, program = optimised_scene(scene, without)
-    return plan(formulation, program, target)
+    return plan(formulation, program, target, _checked(entry_points, formulation))
+
+
+def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:
+    """Names of functions that the scene has; SceneError for others."""
+    if entry_points is None:
+        return None
+    names = [entry_points] if isinstance(entry_points, str) else list(entry_points)
+    there = offered(formulation.law)
+    for name in names:
+        if name not in there:
+            raise SceneError(f"entry_points: {name!r} is no function of this scene; there are {', '.join(there)}")
+    if not names:
+        raise SceneError(f"entry_points: none given; choose from {', '.join(there)}, or leave it out for all")
+    return names
 
 
 @lru_cache(maxsize=128)  # all built-in scenes, and a test run's own beside them

@@ -56,14 +56,28 @@ def _in_words(system: System) -> str:
 @math_option
 @out_option
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
+@click.option(
+    "--entry-points",
+    metavar="NAMES",
+    help="Only these C functions, as control or S,z, with prepare and what they call; default all of the scene's.",
+)
 @json_option
 def generate(
-    scene: str, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, casadi_abi: bool, as_json: bool
+    scene: str,
+    scalar: Scalar,
+    prefix: str | None,
+    math: Math,
+    out: Path | None,
+    casadi_abi: bool,
+    entry_points: str | None,
+    as_json: bool,
 ) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
     loaded = load_scene(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
-    _report(build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi), as_json)
+    names = None if entry_points is None else [name.strip() for name in entry_points.split(",") if name.strip()]
+    package = build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi, entry_points=names)
+    _report(package, as_json)
 
 
 @click.command()

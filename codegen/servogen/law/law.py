@@ -1,6 +1,6 @@
 """The law of a scene: what happens between the kernels, as routines of steps; it prints, reads back and is checked."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -136,6 +136,32 @@ def shapes(law: Law) -> dict[str, Shape]:
     return everything | results
 
 
+def offered(law: Law) -> tuple[str, ...]:
+    """The names of everything that a package with this law can be asked for: entries, then routines."""
+    return (*("_".join(names) for names in law.entries), *(r.name for r in law.routines))
+
+
+def restricted(law: Law, names: Collection[str]) -> Law:
+    """The law with those entries and routines, the routines that these call, and the solvers that they use."""
+    asked = set(names)
+    for routine in reversed(law.routines):
+        if routine.name in asked:
+            asked |= {step.routine for step in routine.steps if isinstance(step, Call)}
+    routines = tuple(r for r in law.routines if r.name in asked)
+    read = {name for r in routines for step in r.steps for name in row_of(step).reads(step)}
+    working = {step.solver for r in routines for step in r.steps if isinstance(step, _Solving)}
+    return replace(
+        law,
+        inputs=tuple((name, shape) for name, shape in law.inputs if STATE + name in read),
+        solvers=tuple((name, shape) for name, shape in law.solvers if name in working),
+        entries=tuple(names for names in law.entries if "_".join(names) in asked),
+        routines=routines,
+    )
+
+
+_Solving = Solve | Apply | React | Invert | Project
+
+
 def of_the_state(routine: Routine) -> bool:
     """Whether it takes the model and the state; else matrices that the caller gives."""
     return any(isinstance(step, Evaluate | Project | Call) for step in routine.steps)
@@ -162,7 +188,7 @@ def _written(
         raise IllegalLawError(f"{place} needs {missing.args[0]}, which is not there") from None
     except ShapeError as problem:
         raise IllegalLawError(f"{place} does not fit: {problem}") from None
-    if isinstance(step, Solve | Apply | React | Invert | Project) and solvers.get(step.solver) != seen[step.matrix]:
+    if isinstance(step, _Solving) and solvers.get(step.solver) != seen[step.matrix]:
         takes = solvers.get(step.solver)
         raise IllegalLawError(f"{place}: {step.matrix} is {seen[step.matrix]}, its solver {step.solver} takes {takes}")
     return {step.into: shape}

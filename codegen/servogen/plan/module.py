@@ -152,8 +152,8 @@ class Module:
 
     @property
     def solver(self) -> SolverPlan | None:
-        """The plan of the solver that `info` is about."""
-        return self.solvers.get(SYSTEM)
+        """The plan of the solver that `info` is about; of the only one where a package leaves that out."""
+        return self.solvers.get(SYSTEM) or next(iter(self.solvers.values()), None)
 
     def kernel(self, names: Sequence[str]) -> Kernel:
         """The kernel that hands out these quantities. KeyError where there is none."""

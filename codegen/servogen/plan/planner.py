@@ -2,13 +2,13 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
-from servogen.law.law import Law, Routine, check_legal
+from servogen.law.law import Law, Routine, check_legal, restricted
 from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Project, Solve, Step, handed_out
 from servogen.plan.chunks import split
 from servogen.plan.known import plan_known
@@ -25,15 +25,18 @@ from servogen.scene.symbols import Field
 from servogen.scene_program import SceneProgram
 
 
-def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> Module:
-    """Every decision about the C of one scene."""
-    scene, program = formulation.scene, optimised.program
-    staged = stage(program)
+def plan(
+    formulation: Formulation, optimised: SceneProgram, target: Target, entry_points: Sequence[str] | None = None
+) -> Module:
+    """Every decision about the C of one scene. entry_points: functions to leave in, with what they call; None: all."""
+    scene = formulation.scene
+    law = formulation.law if entry_points is None else restricted(formulation.law, entry_points)
+    staged = stage(_needed(optimised, formulation, law))
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
-    entry_points = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in formulation.law.entries]
-    solvers = _plan_solvers(formulation, optimised, target)
-    known = _plan_known(formulation.law, staged, cutter, solvers[SYSTEM])
-    law = check_legal(_at_hand(formulation.law, known.name) if known is not None else formulation.law)
+    entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
+    solvers = _plan_solvers(formulation, optimised, law, target)
+    known = _plan_known(law, staged, cutter, solvers)
+    law = check_legal(_at_hand(law, known.name) if known is not None else law)
     for step in law.steps():
         if isinstance(step, Evaluate | Project):
             cutter.kernel(*handed_out(step))
@@ -43,39 +46,52 @@ def plan(formulation: Formulation, optimised: SceneProgram, target: Target) -> M
     return Module(
         scene=scene.name,
         target=target,
-        scene_hash=scene_hash(scene, program),
+        scene_hash=scene_hash(scene, optimised.program),
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=inputs,
         prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
-        entry_points=tuple(entry_points),
+        entry_points=tuple(entries),
         law=law,
         mass_tolerance=_mass_tolerance(scene, target.scalar),
         system=scene.system,
         solvers=solvers,
         known=known,
-        skipped=what_is_skipped(formulation, optimised, law, known, solvers[SYSTEM], inputs, staged),
+        skipped=what_is_skipped(formulation, optimised, law, known, solvers, inputs, staged),
     )
 
 
-def _plan_solvers(formulation: Formulation, optimised: SceneProgram, target: Target) -> dict[str, SolverPlan]:
+def _needed(optimised: SceneProgram, formulation: Formulation, law: Law) -> Program:
+    """The scene's program less the quantities that nothing in the law evaluates, and tests of Q that none needs."""
+    used = {name for names in law.entries for name in names}
+    used |= {n for step in law.steps() if isinstance(step, Evaluate | Project) for n in handed_out(step)}
+    kept = {q.name for q in formulation.quantities if q.name in used}
+    if any(q.needs_mass for q in formulation.quantities if q.name in used):
+        kept |= {MASS_PIVOT, MASS_SCALE}
+    outputs = tuple(o for o in optimised.program.outputs if o.name in kept)
+    return dataclasses.replace(optimised.program, outputs=outputs)
+
+
+def _plan_solvers(formulation: Formulation, optimised: SceneProgram, law: Law, target: Target) -> dict[str, SolverPlan]:
     """The law's solvers; tolerances per row, and damping, are the user's for the scene's own system alone."""
-    own = plan_scene_solver(formulation, optimised, target.scalar)
     users = formulation.scene.solver
     other = Solver(method=users.method, rank=users.rank)
     planned = {
-        name: own if name == SYSTEM else plan_solver(*shape, target.scalar, other)
-        for name, shape in formulation.law.solvers
+        name: plan_scene_solver(formulation, optimised, target.scalar)
+        if name == SYSTEM
+        else plan_solver(*shape, target.scalar, other)
+        for name, shape in law.solvers
     }
     return {name: dataclasses.replace(solver, root=_root(target)) for name, solver in planned.items()}
 
 
-def _plan_known(law: Law, staged: Staged, cutter: "_Cutter", solver: SolverPlan) -> Known | None:
+def _plan_known(law: Law, staged: Staged, cutter: "_Cutter", solvers: Mapping[str, SolverPlan]) -> Known | None:
     """The matrix of the scene's system where no state changes it; a projection needs its solver all the same."""
-    if any(isinstance(step, Project) for step in law.steps()):
+    projected = any(isinstance(step, Project) for step in law.steps())
+    if projected or not any(isinstance(step, Solve) and step.solver == SYSTEM for step in law.steps()):
         return None
-    return plan_known(staged, cutter.result(law.matrix_of(SYSTEM)), solver)
+    return plan_known(staged, cutter.result(law.matrix_of(SYSTEM)), solvers[SYSTEM])
 
 
 def _at_hand(law: Law, matrix: str) -> Law:

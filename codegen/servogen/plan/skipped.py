@@ -1,10 +1,11 @@
 """What a scene does not need, by entry point, with the reason: DESIGN section 4's four times, in their order."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from servogen.derive.formulation import Formulation
 from servogen.ir.program import Program
 from servogen.law.law import Law
+from servogen.law.steps import SYSTEM
 from servogen.plan.module import Known, StructField
 from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import Staged, cut
@@ -16,7 +17,7 @@ def what_is_skipped(
     optimised: SceneProgram,
     law: Law,
     known: Known | None,
-    solver: SolverPlan,
+    solvers: Mapping[str, SolverPlan],
     inputs: Sequence[StructField],
     staged: Staged,
 ) -> dict[str, tuple[str, ...]]:
@@ -24,13 +25,15 @@ def what_is_skipped(
     system = formulation.scene.system
     of_the_system = {system.matrix, system.right}
     parts_of = {"_".join(names): names for names in law.entries if set(names) <= of_the_system}
-    parts_of["control"] = law.routine("control").evaluated()
+    if law.has("control"):
+        parts_of["control"] = law.routine("control").evaluated()
     planned = _planned(formulation, inputs, staged)
     found = {
         name: (*_derived(formulation, optimised, parts), *_optimised(optimised, parts), *planned)
         for name, parts in parts_of.items()
     }
-    found["control"] += (*_of_the_solver(formulation, known, solver),)
+    if law.has("control"):
+        found["control"] += (*_of_the_solver(formulation, known, solvers[SYSTEM]),)
     return found
 
 

@@ -30,6 +30,7 @@ from servogen.plan.solver import BITS, solver_context, solver_operations
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
+from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
@@ -71,7 +72,7 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
     kind = "package" if module.law.routines else "plant"
     files = [
         SourceFile(f"{prefix}.h", templates.get_template(f"{kind}.h.j2").render(context)),
-        SourceFile(f"{prefix}.c", templates.get_template(f"{kind}.c.j2").render(context)),
+        SourceFile(f"{prefix}.c", without_unused(templates.get_template(f"{kind}.c.j2").render(context))),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
     if casadi_abi:
@@ -131,6 +132,7 @@ def _law_context(module: Module) -> dict[str, Any]:
         "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
         "printed_once": _printed_once(law),
         "emit": _emitted(module),
+        "tells_failure": any(r.info and r.evaluated() for r in law.routines),
         "checked": _checked(module),
     }
 
@@ -166,8 +168,15 @@ def _shim(module: Module) -> dict[str, Any]:
 
 def _emitted(module: Module) -> dict[str, bool]:
     """Which functions of the system's solver the package calls; no other is printed."""
-    at_hand = any(isinstance(step, Apply) for step in module.law.steps())
-    return {"solve": not at_hand, "pinv": True, "known": at_hand}
+    steps = [s for s in module.law.steps() if getattr(s, "solver", None) == SYSTEM]
+    at_hand = any(isinstance(step, Apply) for step in steps)
+    bent = any(isinstance(step, Project) and step.curvature for step in steps)
+    in_prepare = module.known is not None and module.known.when == "prepare"
+    return {
+        "solve": any(isinstance(step, Solve | Project) for step in steps),
+        "pinv": bent or in_prepare or any(isinstance(step, Invert) for step in steps),
+        "known": at_hand,
+    }
 
 
 def _checked(module: Module) -> list[Kernel]:

@@ -145,6 +145,11 @@ class CompiledTwin(Twin):
         super().__init__(scene, scalar)
 
     def _function(self, entry: str) -> Any:
+        there = ("prepare", *(e.name for e in self._module.entry_points), *(r.name for r in self._module.law.routines))
+        if entry not in there:
+            raise AttributeError(
+                f"this package was built without {entry}; ask for it in entry_points (it has {', '.join(there)})"
+            )
         return getattr(self._library, f"{self._module.target.prefix}_{entry}")
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
