@@ -20,6 +20,8 @@ from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
 _SAMPLES = 32
+ZERO = 1e-13
+"""An eigenvalue or a singular value of a matrix brought to one that is not larger is what rounding leaves of 0."""
 Rows = list[list[Any]]
 
 
@@ -33,7 +35,7 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
     smallest = np.array([_smallest_eigenvalue(value) for value in samples])
     _warn_of_signs(scene, smallest[: _SAMPLES // 4])
-    positive = bool(np.all(smallest > 0))
+    positive = bool(np.all(smallest > ZERO))
     if diagonal:
         return _solve_diagonal(Q, right, positive)
     if not positive:
@@ -101,7 +103,7 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
     finite = [value for value in samples if np.all(np.isfinite(value))]
     if not finite:
         raise SceneError("Q is not finite at any state drawn from the domain; give a domain in which it is")
-    generic = all(np.linalg.matrix_rank(_equilibrated(value)) < n for value in finite)
+    generic = all(np.linalg.matrix_rank(_equilibrated(value), rtol=ZERO) < n for value in finite)
     if structural or generic:
         raise SceneError(
             f"Q is structurally singular: its rank is below {n} at every state; "
@@ -111,7 +113,7 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
 
 def _warn_of_signs(scene: Scene, smallest: FloatArray) -> None:
     """smallest: eigenvalues at the default parameters. No kinetic energy has such a Q; the method does not mind."""
-    wrong = np.sum(smallest < 0)
+    wrong = np.sum(smallest < -ZERO)
     if wrong:
         warnings.warn(
             f"scene {scene.name!r}: Q is not positive definite at {wrong} of {len(smallest)} states drawn from the "
