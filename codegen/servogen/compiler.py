@@ -15,9 +15,11 @@ from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
+from servogen.remarks import say
 from servogen.render.render import render
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
+from servogen.scene.review import review
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
@@ -38,11 +40,14 @@ def build(
     prefix: of all C names; default the scene's name, and name_f32 for float32.
     math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
     casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
-    Raises SceneError for anything wrong with the scene.
+    Raises SceneError for anything wrong with the scene; warns with an sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
     module = compile_scene(scene, target_for(scene.name, scalar, prefix, math))
-    return write(render(module, casadi_abi), out, module, scene)
+    remarks = review(scene) + optimised_scene(scene)[0].remarks
+    package = write(render(module, casadi_abi), out, module, scene, remarks)
+    say(remarks)
+    return package
 
 
 def compile_scene(scene: Scene, target: Target, without: frozenset[str] = frozenset()) -> Module:

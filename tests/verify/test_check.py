@@ -118,7 +118,6 @@ def pulled(rows, solver=None):
     return sg.Scene("pulled", mech, constraints, solver=solver or sg.Solver(), domain={"q": (-1, 1), "u": (0.1, 1)})
 
 
-@pytest.mark.filterwarnings("ignore:the rows of S can never be independent")
 def test_duplicate_rows_are_checked_against_the_truncated_solution():
     scene = pulled({"a": lambda q, u: u[0] ** 2 + u[1], "b": lambda q, u: 3 * (u[0] ** 2 + u[1])})
     report = check([scene], states=STATES)

@@ -26,6 +26,7 @@ class MassTreatment:
     pivots: tuple[Any, ...] = ()
     scales: tuple[Any, ...] = ()
     positive_definite: bool = False  # at every state drawn from the domain
+    remarks: tuple[str, ...] = ()  # on Q's signs and symmetry
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,7 @@ class Formulation:
     """The quantities of the scene's linear system and what belongs to it.
 
     curvature: the (row of phi, i, j) of each entry of the quantity of that name; empty where phi is affine in tau.
+    remarks: what is odd and yet no error, found on the way.
     """
 
     scene: Scene
@@ -55,6 +57,7 @@ class Formulation:
     mass: MassTreatment
     weight: Weight | None = None
     curvature: tuple[tuple[int, int, int], ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def factorised(self) -> str:
