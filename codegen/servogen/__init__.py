@@ -7,6 +7,7 @@ from servogen import urdf
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
 from servogen.package import Package
+from servogen.remarks import Remark
 from servogen.results import Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
 from servogen.scene.mechanism import Mechanism
@@ -31,6 +32,7 @@ __all__ = [
     "Path",
     "Ref",
     "References",
+    "Remark",
     "Scene",
     "SceneError",
     "Simulation",

@@ -16,9 +16,11 @@ from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_scene_solver, plan_solver_only
+from servogen.remarks import say
 from servogen.render.render import render
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
+from servogen.scene.review import review
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
@@ -42,7 +44,8 @@ def build(
     math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
     casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
     entry_points: the functions to generate, as ("control",), with prepare and what they call; None: all there are.
-    Raises SceneError for anything wrong with the scene, and for an entry point that it does not have.
+    Raises SceneError for anything wrong with the scene, and for an entry point that it does not have; warns with an
+    sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
     target = target_for(scene.name, scalar, prefix, math)
@@ -51,7 +54,10 @@ def build(
         raise SceneError(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
-    return write(render(module, casadi_abi), out, module, scene)
+    remarks = review(scene) + optimised_scene(scene)[0].remarks
+    package = write(render(module, casadi_abi), out, module, scene, remarks)
+    say(remarks)
+    return package
 
 
 def compile_scene(

@@ -18,12 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Package:
-    """A generated package: `path` is its folder, `manifest` what manifest.json says."""
+    """A generated package: `path` is its folder, `manifest` what manifest.json says.
+
+    remarks: what is odd about the scene and yet no error; `sg.build` says each as a warning.
+    """
 
     path: Path
     manifest: dict[str, Any]
     module: Module = field(repr=False)
     scene: Scene | None = field(default=None, repr=False)
+    remarks: tuple[str, ...] = ()
     _keep: Any = field(default=None, repr=False)  # a temporary folder lives as long as its package
 
     @property
@@ -37,7 +41,13 @@ class Package:
         return load_package(self, compiler, tuple(flags))
 
 
-def write(files: Sequence[SourceFile], out: str | Path | None, module: Module, scene: Scene | None) -> Package:
+def write(
+    files: Sequence[SourceFile],
+    out: str | Path | None,
+    module: Module,
+    scene: Scene | None,
+    remarks: tuple[str, ...] = (),
+) -> Package:
     """Write the files to a folder (made if need be; None: a temporary one). SceneError where that is no folder."""
     keep = None
     if out is None:
@@ -51,4 +61,4 @@ def write(files: Sequence[SourceFile], out: str | Path | None, module: Module, s
     for f in files:
         (folder / f.name).write_text(f.text, encoding="utf-8", newline="\n")
     manifest = json.loads(next(f.text for f in files if f.name == "manifest.json"))
-    return Package(folder, manifest, module, scene, keep)
+    return Package(folder, manifest, module, scene, remarks, keep)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,15 +14,17 @@ from servogen.bench.plot import _labels, _spread, draw, pareto
 from servogen.bench.results import Output
 from servogen.bench.run import bench
 from servogen.loading import load_scene
+from support.mutate import mutated
 
 SCENE = load_scene("double_pendulum_energy")
 BASELINE = "CasADi cse"
 
 
-def altered(contender, name, old, new):
+def altered(contender, name, pattern, new):
     """The same contender under another name, its kernel edited; a prefix of its own keeps the copies apart."""
-    assert any(old in f.text for f in contender.files)
-    files = tuple(dataclasses.replace(f, text=f.text.replace(old, new)) for f in contender.files)
+    hit = {f: mutated(f.text, pattern, new) for f in contender.files if re.search(pattern, f.text)}
+    assert hit, f"{pattern!r} matches nothing in {name}"
+    files = tuple(dataclasses.replace(f, text=hit.get(f, f.text)) for f in contender.files)
     return dataclasses.replace(contender, name=name, files=files)
 
 
@@ -42,14 +45,14 @@ def rivals(old, new):
 
 
 def test_a_planted_error_is_measured():
-    result = run(rivals("S[0] = in->u[0];", "S[0] = in->u[0] + 1e-9;"))
+    result = run(rivals(r"\bS\[0\] = ([^;]+);", r"S[0] = \1 + 1e-9;"))
     assert result.of("altered", Output.MATRIX).errors.largest == pytest.approx(1e-9, rel=1e-3)
     assert result.of("altered", Output.RIGHT).errors.largest_ulps < 20
     assert result.of(BASELINE, Output.MATRIX).errors.largest_ulps < 20
 
 
 def test_a_silent_nan_is_an_infinite_error():
-    result = run(rivals("tau[0] = t_0;", "tau[0] = (double)NAN;"))  # behind all checks, with a good status
+    result = run(rivals(r"\btau\[0\] = [^;]+;", "tau[0] = (double)NAN;"))  # behind all checks, with a good status
     broken = result.of("altered", Output.ANSWER).errors
     assert broken.nonfinite > 0
     assert math.isinf(broken.largest)
@@ -68,7 +71,7 @@ def test_slower_code_takes_longer():
     def choose(scene, inputs, capacity):
         ours = servogen_c(scene, inputs, capacity, "float64")
         work = "volatile double waste = 0.0; int w; for (w = 0; w < 400; ++w) { waste = waste + 1.0; }\n    S[0] ="
-        return altered(ours, "slow", "S[0] =", work), casadi_c(scene, inputs, capacity, BASELINE, cse=True)
+        return altered(ours, "slow", r"\bS\[0\] =", work), casadi_c(scene, inputs, capacity, BASELINE, cse=True)
 
     result = run(choose, rounds=5)
     assert result.of("slow", Output.MATRIX).times.ratio > 3

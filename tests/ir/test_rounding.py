@@ -6,7 +6,7 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.program import Input, Instr, Output, Program
@@ -54,10 +54,7 @@ def test_functions_keep_to_their_bound(scalar: str, program: Program, seed: int)
     """numpy's functions claim less than the C library's: up to four units of a function's value are allowed each."""
     states = states_in(scalar, seed)
     values = evaluate(program, states)
-    if any(np.any(np.abs(v) > 1e3) for v in values.values()) or not all(
-        np.all(np.isfinite(v)) for v in values.values()
-    ):
-        return
+    assume(all(np.all(np.abs(v) <= 1e3) for v in values.values()))
     bounds = rounding_bounds(program, states, scalar)
     for name, error in errors(program, states, scalar).items():
         assert np.all(error <= 4.04 * bounds[name] + 1e-5 * bounds[name].max() + 1e-18), (name, error, bounds[name])

@@ -89,7 +89,8 @@ def test_another_energy_can_be_held(loop):
     assert run.stop.reason == "finished"
     expected = 9.0 + (run.outputs["E"][0] - 9.0) * np.exp(-run.t)
     assert np.allclose(run.outputs["E"], expected, rtol=1e-10)
-    assert np.allclose(run.decay["E"], expected, rtol=1e-14)
+    rounding = len(run.t) * 2.0**-52  # the decay is a product a sample
+    assert np.allclose(run.decay["E"], expected, rtol=rounding)
 
 
 def test_parameters_reach_controller_plant_and_stop_expression(loop):

@@ -114,10 +114,15 @@ def complain(kind: str, text: str, style: str = "bold red") -> None:
 
 
 def show_warnings() -> None:
-    """Warnings in one line each, without the source of servogen."""
-    warnings.showwarning = lambda message, *rest, **more: err.print(
-        f"[bold yellow]warning:[/] {escape(str(message))}", soft_wrap=True
-    )
+    """Warnings in one line each, without the source of servogen; what several stages find is said once."""
+    said: set[str] = set()
+
+    def show(message: Warning | str, *rest: object, **more: object) -> None:
+        if str(message) not in said:
+            said.add(str(message))
+            complain("warning", str(message), "bold yellow")
+
+    warnings.showwarning = show
 
 
 def chosen(scenes: tuple[str, ...], every: bool) -> tuple[str, ...]:

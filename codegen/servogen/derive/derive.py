@@ -1,5 +1,7 @@
 """The first stage of the pipeline."""
 
+from dataclasses import replace
+
 from servogen.derive.controls import derive_controls
 from servogen.derive.formulation import Formulation
 from servogen.derive.ideal import derive_ideal
@@ -14,5 +16,5 @@ def derive(scene: Scene) -> Formulation:
     """The scene's system and what belongs to it. SceneError for a singular Q or a constraint without effect."""
     formulation = _DERIVATIONS[scene.kind](scene)
     check_finite(formulation)
-    check_reach(formulation)
-    return formulation
+    remarks = formulation.mass.remarks + check_reach(formulation)
+    return replace(formulation, remarks=tuple(f"scene {scene.name!r}: {text}" for text in remarks))

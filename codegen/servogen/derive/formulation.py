@@ -28,6 +28,7 @@ class MassTreatment:
     pivots: tuple[Any, ...] = ()
     scales: tuple[Any, ...] = ()
     positive_definite: bool = False  # at every state drawn from the domain
+    remarks: tuple[str, ...] = ()  # on Q's signs and symmetry
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +48,17 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """The quantities of the scene's linear system, and the law that makes the controls of them."""
+    """The quantities of the scene's linear system, and the law that makes the controls of them.
+
+    remarks: what is odd and yet no error, found on the way.
+    """
 
     scene: Scene
     quantities: tuple[Quantity, ...]
     mass: MassTreatment
     law: Law
     weight: Weight | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def factorised(self) -> str:

@@ -45,6 +45,10 @@ def derive_ideal(scene: Scene) -> Formulation:
     return Formulation(scene, tuple(quantities), mass, law, weight)
 
 
+_EVEN = 1e-9
+"""Columns whose scores differ by less, relative to the larger, are even: rounding does not choose among them."""
+
+
 def dependent_columns(scene: Scene, J: Any) -> tuple[int, ...]:
     """The m entries of u taken as dependent, Eq. (26): by pivoting over states of the domain, all at once.
 
@@ -59,7 +63,7 @@ def dependent_columns(scene: Scene, J: Any) -> tuple[int, ...]:
         lengths = np.sqrt(np.sum(rest**2, axis=1))  # (states, columns)
         score = np.exp(np.mean(np.log(lengths + 1e-12), axis=0))
         score[taken] = -1.0
-        best = int(np.argmax(score))
+        best = int(np.argmax(score > (1 - _EVEN) * np.max(score)))  # the first of those that are even
         taken.append(best)
         column = rest[:, :, best]
         column = column / np.maximum(np.linalg.norm(column, axis=1, keepdims=True), 1e-300)

@@ -3,7 +3,7 @@
 LDL^T where Q is symmetric by proof and positive definite over the domain by check, LU with pivoting otherwise.
 """
 
-import warnings
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -20,6 +20,8 @@ from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
 _SAMPLES = 32
+ZERO = 1e-13
+"""An eigenvalue or a singular value of a matrix brought to one that is not larger is what rounding leaves of 0."""
 Rows = list[list[Any]]
 
 
@@ -28,12 +30,16 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     Q = scene.mechanism.Q
     samples = sample(scene, Q)
     _check_regular(scene, Q, samples)
+    X, mass = _solve(scene, Q, samples, right, transposed)
+    return X, replace(mass, remarks=_remarks(samples[: _SAMPLES // 4]))  # at the default parameters
+
+
+def _solve(scene: Scene, Q: Any, samples: FloatArray, right: Any, transposed: bool) -> tuple[Any, MassTreatment]:
     diagonal = _is_diagonal(Q)
     if not diagonal and not is_symmetric(scene, Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
     smallest = np.array([_smallest_eigenvalue(value) for value in samples])
-    _warn_of_signs(scene, smallest[: _SAMPLES // 4])
-    positive = bool(np.all(smallest > 0))
+    positive = bool(np.all(smallest > ZERO))
     if diagonal:
         return _solve_diagonal(Q, right, positive)
     if not positive:
@@ -101,7 +107,7 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
     finite = [value for value in samples if np.all(np.isfinite(value))]
     if not finite:
         raise SceneError("Q is not finite at any state drawn from the domain; give a domain in which it is")
-    generic = all(np.linalg.matrix_rank(_equilibrated(value)) < n for value in finite)
+    generic = all(np.linalg.matrix_rank(_equilibrated(value), rtol=ZERO) < n for value in finite)
     if structural or generic:
         raise SceneError(
             f"Q is structurally singular: its rank is below {n} at every state; "
@@ -109,15 +115,22 @@ def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
         )
 
 
-def _warn_of_signs(scene: Scene, smallest: FloatArray) -> None:
-    """smallest: eigenvalues at the default parameters. No kinetic energy has such a Q; the method does not mind."""
-    wrong = np.sum(smallest < 0)
+def _remarks(samples: FloatArray) -> tuple[str, ...]:
+    """On a Q that no kinetic energy has; the method does not mind."""
+    finite = [value for value in samples if np.all(np.isfinite(value))]
+    for value in finite:
+        size = np.sqrt(np.abs(np.diag(value)))
+        uneven = np.abs(value - value.T) > 1e-9 * np.maximum(np.outer(size, size), np.abs(value))  # in its own units
+        if np.any(uneven):
+            i, j = np.argwhere(uneven)[0]
+            return (f"Q is not symmetric, as a mass matrix is: Q[{i}, {j}] is not Q[{j}, {i}]; check its entries",)
+    wrong = sum(_smallest_eigenvalue(value) < -ZERO for value in finite)
     if wrong:
-        warnings.warn(
-            f"scene {scene.name!r}: Q is not positive definite at {wrong} of {len(smallest)} states drawn from the "
-            "domain, as a mass matrix is; check its signs, or narrow the domain",
-            stacklevel=8,
+        return (
+            f"Q is not positive definite at {wrong} of {len(samples)} states drawn from the domain, as a mass matrix "
+            "is; check its signs, or narrow the domain",
         )
+    return ()
 
 
 def _equilibrated(value: FloatArray) -> FloatArray:

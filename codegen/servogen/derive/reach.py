@@ -3,7 +3,6 @@
 Found are values that exist nowhere, and rows of S (or A) that vanish identically or can never be independent.
 """
 
-import warnings
 from typing import Any
 
 import casadi as ca
@@ -25,8 +24,8 @@ from servogen.scene.scene import Scene
 _SAMPLES = 32
 
 
-def check_reach(formulation: Formulation) -> None:
-    """SceneError naming a constraint whose row is identically zero; a warning naming rows that are never independent.
+def check_reach(formulation: Formulation) -> tuple[str, ...]:
+    """SceneError naming a constraint whose row is identically zero; a remark naming rows that are never independent.
 
     A row is identically zero when it is within its own rounding error of zero at every state drawn.
     """
@@ -48,8 +47,7 @@ def check_reach(formulation: Formulation) -> None:
                 f"{label} does not reach the controls: its row of {name} is identically zero. "
                 + _remedy(scene, owners[i])
             )
-    if scene.rows <= formulation[name].size2():
-        _warn_of_dependence(name, labels, values)
+    return _dependence(name, labels, values) if scene.rows <= formulation[name].size2() else ()
 
 
 def _remedy(scene: Scene, constraint: Any) -> str:
@@ -83,12 +81,12 @@ def _row_labels(scene: Scene) -> list[str]:
     return labels
 
 
-def _warn_of_dependence(name: str, labels: list[str], values: FloatArray) -> None:
+def _dependence(name: str, labels: list[str], values: FloatArray) -> tuple[str, ...]:
     norms = np.linalg.norm(values, axis=2, keepdims=True)
     rows = values / np.where(norms == 0, 1, norms)
     m = len(labels)
     if max(np.linalg.matrix_rank(value, tol=1e-9) for value in rows) == m:
-        return
+        return ()
     cosines = np.abs(np.einsum("nik,njk->nij", rows, rows))
     parallel = [
         f"{labels[i]} and {labels[j]}"
@@ -97,7 +95,4 @@ def _warn_of_dependence(name: str, labels: list[str], values: FloatArray) -> Non
         if np.min(cosines[:, i, j]) > 1 - 1e-12
     ]
     which = "; ".join(parallel) if parallel else ", ".join(labels)
-    warnings.warn(
-        f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",
-        stacklevel=7,
-    )
+    return (f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.derive.formulation import Weight
-from servogen.derive.mass import is_symmetric, sample
+from servogen.derive.mass import ZERO, is_symmetric, sample
 from servogen.errors import SceneError
 from servogen.scene.scene import Scene
 
@@ -22,7 +22,7 @@ def weigh(scene: Scene) -> Weight | None:
         if np.all(np.isfinite(value)) and not _positive_definite(value):
             raise SceneError(
                 "weight is not positive definite over the domain: its smallest eigenvalue is "
-                f"{np.min(np.linalg.eigvalsh(value)):.6g} at a state of it; add a positive diagonal, or narrow it"
+                f"{_smallest_eigenvalue(value):.4g} at a state of it; add a positive diagonal, or narrow it"
             )
     L = _cholesky(W)
     N = _inverse_transpose(L)
@@ -43,8 +43,14 @@ def _positive_definite(value: Any) -> bool:
     if np.any(diagonal <= 0):
         return False
     root = np.sqrt(diagonal)
-    smallest = np.min(np.linalg.eigvalsh(value / np.outer(root, root)))
-    return bool(smallest > len(value) * np.finfo(float).eps)
+    return bool(np.min(np.linalg.eigvalsh(value / np.outer(root, root))) > ZERO)
+
+
+def _smallest_eigenvalue(value: Any) -> float:
+    """As it is told: 0 for what rounding makes of 0."""
+    eigenvalues = np.linalg.eigvalsh(value)
+    smallest = float(eigenvalues[0])
+    return smallest if abs(smallest) > ZERO * np.max(np.abs(eigenvalues)) else 0.0
 
 
 def _cholesky(W: Any) -> Any:

@@ -214,6 +214,13 @@ def unsupported_operations(expression: Any) -> list[tuple[str, int]]:
     return [(name, casadi_id) for casadi_id, name in found.items()]
 
 
+def operations(expression: Any) -> list[str]:
+    """The rows of the table that an SX expression uses, each once, in the order of its instructions."""
+    function = _scan(expression)
+    ids = [function.instruction_id(k) for k in range(function.n_instructions())]
+    return list(dict.fromkeys(BY_CASADI_ID[k].name for k in ids if k in BY_CASADI_ID))
+
+
 def constants(expression: Any) -> list[float]:
     """Every number in an SX expression."""
     function = _scan(expression)

@@ -1,6 +1,5 @@
 """One controller: a mechanism, its servo-constraints, and what the solver is asked for."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -16,8 +15,6 @@ from servogen.scene.constraints import (
     ControlsInvolved,
     Holonomic,
     Nonholonomic,
-    check_hurwitz,
-    companion,
     expression_of,
     theta_parts,
 )
@@ -88,15 +85,7 @@ class Scene:
         _check_names(self)
         _check_symbols(self)
         _check_operations(self)
-        _check_theta_of_parameters(self)
         _check_domain(self)
-        if self.rows > self.controls and self.kind != "ideal":
-            names = ", ".join(repr(c.name) for c in self.constraints)
-            warnings.warn(
-                f"scene {self.name!r}: {self.rows} rows of constraints ({names}) for {self.controls} controls can "
-                "never be independent; the answer will be the least-squares one",
-                stacklevel=3,
-            )
 
     @property
     def kind(self) -> Kind:
@@ -157,7 +146,7 @@ def _state_field(name: str, symbol: Any) -> Field:
     return Field(name, symbol, (0.0,) * symbol.size1(), "", ", ".join(elements))
 
 
-def _parts(scene: Scene) -> dict[str, Any]:
+def expressions(scene: Scene) -> dict[str, Any]:
     """Every expression of the scene by the words an error names it with."""
     mech = scene.mechanism
     parts = {name: getattr(mech, name) for name in ("Q", "P", "G", "C", "D") if getattr(mech, name) is not None}
@@ -260,7 +249,7 @@ def _check_symbols(scene: Scene) -> None:
             owners[s.__hash__()] = owner
     known = ca.vertcat(mech.tau, *(f.symbol for f in scene.input_fields()), *(f.symbol for f in scene.parameters))
     known_ids = {s.__hash__() for s in known.nonzeros()}
-    for what, expression in _parts(scene).items():
+    for what, expression in expressions(scene).items():
         for symbol in ca.symvar(expression):
             if symbol.__hash__() not in known_ids:
                 raise SceneError(
@@ -270,7 +259,7 @@ def _check_symbols(scene: Scene) -> None:
 
 
 def _check_operations(scene: Scene) -> None:
-    for what, expression in _parts(scene).items():
+    for what, expression in expressions(scene).items():
         for name, casadi_id in unsupported_operations(expression):
             raise SceneError(
                 f"{what}: operation {name} (CasADi id {casadi_id}) is not supported; "
@@ -279,24 +268,6 @@ def _check_operations(scene: Scene) -> None:
         for number in constants(expression):
             if not np.isfinite(number):
                 raise SceneError(f"{what} holds the constant {number}; give finite numbers")
-
-
-def _check_theta_of_parameters(scene: Scene) -> None:
-    """A Theta of parameters can only be judged at their defaults: warn there."""
-    symbols = [f.symbol for f in scene.parameters]
-    defaults = [ca.DM(f.default) for f in scene.parameters]
-    for c in scene.constraints:
-        parts = theta_parts(c)
-        if all(theta.is_constant() for theta in parts.values()):
-            continue
-        matrix = companion(**parts) if isinstance(c, Holonomic) else parts["Theta"]
-        value = ca.Function("theta", symbols, [matrix])(*defaults)
-        if isinstance(c, ControlsInvolved) and value.is_zero():
-            continue
-        try:
-            check_hurwitz(value, f"constraint {c.name!r}: {' and '.join(parts)} at the parameters' defaults")
-        except SceneError as unstable:
-            warnings.warn(str(unstable), stacklevel=5)
 
 
 def _check_domain(scene: Scene) -> None:

@@ -62,7 +62,10 @@ class ReferenceTwin(Twin):
         drawn = draw_states(self.scene, 32)
         for k in range(32):
             Q = self._parts({n: v[k] for n, v in drawn.items()} | defaults)["Q"]
-            if not np.array_equal(Q, Q.T) or not np.linalg.eigvalsh(Q)[0] > 0:
+            size = np.sqrt(np.abs(np.diag(Q)))
+            if not np.array_equal(Q, Q.T) or not np.all(size > 0):
+                return False
+            if not np.linalg.eigvalsh(Q / np.outer(size, size))[0] > 1e-13:  # a unit decides nothing, nor does rounding
                 return False
         return True
 
