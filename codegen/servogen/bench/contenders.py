@@ -288,18 +288,22 @@ def textbook(scene: Scene) -> PythonContender:
 
 
 def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
-    """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv, of S L^-T with a weight L L^T."""
+    """The user's S and z by CasADi's virtual machine, and numpy.linalg.pinv, of S L^-T with a weight L L^T.
+
+    Where the weight is Q^-1, Q is factored and not its inverse.
+    """
     found = {Output.MATRIX: ca.densify(scene.mechanism.G), **user.expressions(scene)}
     functions = {
         output: user.function(scene, f"numpy_{output.value}", found[output], cse=True)
         for output in (Output.MATRIX, Output.RIGHT)
     }
-    free = weight = None
+    free = metric = None
     if scene.y is not None:
         y = scene.y_symbol if isinstance(scene.y, str) else scene.y
         free = user.function(scene, "numpy_y", ca.densify(y), cse=True)
     if scene.weight is not None:
-        weight = user.function(scene, "numpy_weight", ca.densify(scene.weight), cse=True)
+        W = scene.mechanism.Q if scene.weighs_by_inverse_mass else scene.weight
+        metric = user.function(scene, "numpy_metric", ca.densify(W), cse=True)
     parameters = inputs.parameters
 
     def call(function: Any, state: Mapping[str, FloatArray]) -> FloatArray:
@@ -308,10 +312,13 @@ def numpy_pinv(scene: Scene, inputs: Inputs) -> PythonContender:
     def answer(state: Mapping[str, FloatArray]) -> Answer:
         S, z = call(functions[Output.MATRIX], state), call(functions[Output.RIGHT], state)
         try:
-            if weight is None:
+            if metric is None:
                 inverse = np.linalg.pinv(S)
+            elif scene.weighs_by_inverse_mass:
+                N = np.linalg.cholesky(call(metric, state))
+                inverse = N @ np.linalg.pinv(S @ N)
             else:
-                L = np.linalg.cholesky(call(weight, state))
+                L = np.linalg.cholesky(call(metric, state))
                 inverse = np.linalg.solve(L.T, np.linalg.pinv(np.linalg.solve(L, S.T).T))
         except np.linalg.LinAlgError:  # how numpy meets NaN and infinity
             return -1, np.full(scene.controls, np.nan)

@@ -31,7 +31,7 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
         S, z = _ideal(scene)
     else:
         S, z = _servo(scene, ldlt)
-    inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene.weight)
+    inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
     else:
@@ -44,9 +44,9 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
     return {output: ca.densify(expression) for output, expression in found.items()}
 
 
-def _weighted_inverse(S: Any, W: Any) -> Any:
+def _weighted_inverse(S: Any, scene: Scene) -> Any:
     """W^-1 S^T (S W^-1 S^T)^-1."""
-    right = ca.solve(W, S.T)
+    right = ca.mtimes(scene.mechanism.Q, S.T) if scene.weighs_by_inverse_mass else ca.solve(scene.weight, S.T)
     return ca.mtimes(right, ca.inv(ca.mtimes(S, right)))
 
 

@@ -47,7 +47,7 @@ def derive_controls(scene: Scene) -> Formulation:
             needs_mass=True,
         ),
     ]
-    weight = weigh(scene)
+    weight = weigh(scene, mass)
     quantities += free_quantities(scene, A, "A", "Eq. (54)", weight)
     bends, places = curvature(phi, mech.tau)
     if places:

@@ -1,5 +1,6 @@
 """What derivation hands on: named SX quantities with their equations."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,21 +30,32 @@ class MassTreatment:
     scales: tuple[Any, ...] = ()
     positive_definite: bool = False  # at every state drawn from the domain
     remarks: tuple[str, ...] = ()  # on Q's signs and symmetry
+    factor: "MassFactor | None" = None  # where Q is positive definite
+
+
+@dataclass(frozen=True, eq=False)
+class MassFactor:
+    """Q[order, order] = L D L^T as the solve with Q computes them: the rows of the unit triangular L, and D."""
+
+    order: tuple[int, ...]
+    L: tuple[tuple[Any, ...], ...]
+    D: tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Weight:
     """W = L L^T with sigma = L^T tau: the plain minimum norm in sigma is the weighted one in tau.
 
-    L, N = L^-T: l x l SX. entries: the structural nonzeros of N, row by row, a column; pattern: per row of N the
-    (place in entries, column) of each.
+    N = L^-T: l x l SX. to_sigma: X -> L^T X for SX of l rows. entries: the structural nonzeros of N, row by row, a
+    column; pattern: per row of N the (place in entries, column) of each. of_mass: W is Q^-1, so that N N^T = Q.
     """
 
-    L: Any
     N: Any
+    to_sigma: Callable[[Any], Any]
     entries: Any
     pattern: tuple[tuple[tuple[int, int], ...], ...]
     reason: str
+    of_mass: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ def derive_ideal(scene: Scene) -> Formulation:
     W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
     W = W_transposed.T
     T, F = nonminimal_form(mech.Q, mech.P, J, b, dependent_columns(scene, J))
-    weight = weigh(scene)
+    weight = weigh(scene, mass)
     quantities = [
         Quantity("psi", psi, "Eqs. (3), (11)", "psi(q, u, t)"),
         Quantity("T", T, "Eqs. (15), (26)", "[I A^T] Q over the constraint rows"),

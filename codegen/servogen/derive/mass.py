@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servogen.derive.formulation import MassTreatment
+from servogen.derive.formulation import MassFactor, MassTreatment
 from servogen.errors import SceneError
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input
@@ -178,14 +178,22 @@ def _guards(pivots: list[Any], scales: list[Any], positive: bool) -> tuple[tuple
 def _solve_diagonal(Q: Any, right: Any, positive: bool) -> tuple[Any, MassTreatment]:
     diagonal = [Q[k, k] for k in range(Q.size1())]
     if all(d.is_one() for d in diagonal):
-        return right, MassTreatment("identity", "Q is the identity: no solve")
+        return right, MassTreatment("identity", "Q is the identity: no solve", factor=_diagonal_factor(diagonal))
     solution = [[_over(e, d) for e in row] for row, d in zip(_entries(right), diagonal, strict=True)]
     for k, d in enumerate(diagonal):
         if d.is_constant() and float(d) == 0:
             raise SceneError(f"Q is structurally singular: its diagonal entry {k} is zero")
     signed = diagonal if positive else [ca.fabs(d) for d in diagonal]
     pivots, scales = _guards(signed, [ca.SX(0)] * len(diagonal), positive)
-    return _matrix(solution), MassTreatment("diagonal", "Q is diagonal: one division per row", pivots, scales, positive)
+    reason = "Q is diagonal: one division per row"
+    factor = _diagonal_factor(diagonal) if positive else None
+    return _matrix(solution), MassTreatment("diagonal", reason, pivots, scales, positive, factor)
+
+
+def _diagonal_factor(diagonal: list[Any]) -> MassFactor:
+    n = len(diagonal)
+    unit = tuple(tuple(ca.SX(int(i == j)) for j in range(n)) for i in range(n))
+    return MassFactor(tuple(range(n)), unit, tuple(diagonal))
 
 
 def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
@@ -220,7 +228,9 @@ def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
     if order != list(range(n)):
         reason += ", the last velocity parameter eliminated first"
     solution: list[Any] = [row for _, row in sorted(zip(order, x, strict=True), key=lambda pair: pair[0])]
-    return _matrix(solution), MassTreatment("LDL^T", reason, pivots, scales, positive_definite=True)
+    unit = tuple(tuple(ca.SX(1) if i == j else L[i][j] for j in range(n)) for i in range(n))
+    factor = MassFactor(tuple(order), unit, tuple(d))
+    return _matrix(solution), MassTreatment("LDL^T", reason, pivots, scales, True, factor)
 
 
 def _elimination_order(Q: Any, right: Any) -> list[int]:

@@ -10,6 +10,7 @@ from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.convert import is_identity
 from servogen.scene.known import Gauge
 from servogen.scene.scene import Scene
 
@@ -23,14 +24,21 @@ def derive_servo(scene: Scene) -> Formulation:
     W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
     W = W_transposed.T
     S = ca.mtimes(W, mech.G)
-    z = prescribed - X - ca.mtimes(W, mech.P if gauge is None else gauge.force)
+    force = mech.P if gauge is None else gauge.force
+    weight = weigh(scene, mass)
+    weighted = None
+    if weight is not None and weight.of_mass and is_identity(mech.G):
+        # with N N^T = Q and G = I, S N is (N^-1 J^T)^T: half of the solve with Q, and the other half is not needed
+        weighted = weight.to_sigma(J.T).T
+        z = prescribed - X - ca.mtimes(weighted, weight.to_sigma(force))
+    else:
+        z = prescribed - X - ca.mtimes(W, force)
     words = _words(scene)
-    weight = weigh(scene)
     quantities = [
         Quantity("psi", psi, *words["psi"]),
         Quantity("S", S, *words["S"], needs_mass=True),
         Quantity("z", z, *words["z"], needs_mass=True),
-        *free_quantities(scene, S, "S", "Eq. (10)", weight),
+        *free_quantities(scene, S, "S", "Eq. (10)", weight, weighted),
     ]
     law = controlling(scene, quantities, weight, entries=(("psi",), ("S",), ("z",), ("S", "z")))
     return Formulation(scene, tuple(quantities), mass, law, weight)
@@ -46,18 +54,37 @@ def constraint_rows(scene: Scene, gauge: Gauge | None = None) -> tuple[Any, Any,
     return psi, J, X, prescribed
 
 
-def free_quantities(scene: Scene, matrix: Any, name: str, equation: str, weight: Weight | None) -> tuple[Quantity, ...]:
-    """y where it is an expression; with a weight W = L L^T instead the matrix times L^-T, L^T y and L^-T itself."""
+def free_quantities(
+    scene: Scene, matrix: Any, name: str, equation: str, weight: Weight | None, weighted: Any = None
+) -> tuple[Quantity, ...]:
+    """y where it is an expression; with a weight W = L L^T instead the matrix times L^-T, L^T y and L^-T itself.
+
+    weighted: the matrix times L^-T where it is known already.
+    """
     if weight is None:
         return (Quantity("y", scene.y, equation, "the free vector"),) if isinstance(scene.y, ca.SX) else ()
-    weighted = [
-        Quantity(f"{name}_w", ca.mtimes(matrix, weight.N), equation, f"{name} L^-T, L L^T = W", needs_mass=name == "S"),
-        Quantity("recover", weight.entries, equation, "L^-T, its nonzeros"),
+    W = "W = Q^-1" if weight.of_mass else "W"
+    product = ca.mtimes(matrix, weight.N) if weighted is None else weighted
+    needs_mass = name == "S" or weight.of_mass
+    found = [
+        Quantity(f"{name}_w", product, equation, f"{name} L^-T, L L^T = {W}", needs_mass),
+        Quantity("recover", weight.entries, equation, "L^-T, its nonzeros", weight.of_mass),
     ]
     if scene.y is not None:
-        y = scene.y_symbol if isinstance(scene.y, str) else scene.y
-        weighted.append(Quantity("y_w", ca.mtimes(weight.L.T, y), equation, "L^T y"))
-    return tuple(weighted)
+        found.append(Quantity("y_w", _free_in_sigma(scene, weight), equation, "L^T y", weight.of_mass))
+    return tuple(found)
+
+
+def _free_in_sigma(scene: Scene, weight: Weight) -> Any:
+    """L^T y; of y = Q a - P, which a posture is, it is N^T a - N^-1 P where W is Q^-1."""
+    mech = scene.mechanism
+    if isinstance(scene.y, str):
+        return weight.to_sigma(scene.y_symbol)
+    posture = mech.posture_of(scene.y) if weight.of_mass else None
+    if posture is None:
+        return weight.to_sigma(scene.y)
+    force, acceleration = posture
+    return ca.mtimes(weight.N.T, acceleration) - weight.to_sigma(force)
 
 
 def _words(scene: Scene) -> dict[str, tuple[str, str]]:

@@ -5,16 +5,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servogen.derive.formulation import Weight
+from servogen.derive.formulation import MassFactor, MassTreatment, Weight
 from servogen.derive.mass import ZERO, is_symmetric, sample
 from servogen.errors import SceneError
+from servogen.scene.convert import is_identity
 from servogen.scene.scene import Scene
 
 
-def weigh(scene: Scene) -> Weight | None:
-    """The factor of the scene's weight, or None. SceneError unless symmetric by proof and positive definite."""
+def weigh(scene: Scene, mass: MassTreatment) -> Weight | None:
+    """The factor of the scene's weight, or None. SceneError unless symmetric by proof and positive definite.
+
+    mass: how Q is solved with; W = Q^-1 takes its factors.
+    """
+    if scene.weighs_by_inverse_mass:
+        return _weigh_by_inverse_mass(mass)
     W = scene.weight
-    if W is None or _is_identity(W):
+    if W is None or is_identity(W):
         return None
     if not is_symmetric(scene, W):
         raise SceneError("weight is not symmetric by proof; write W[j, i] as the same expression as W[i, j]")
@@ -29,12 +35,43 @@ def weigh(scene: Scene) -> Weight | None:
     entries, pattern = _nonzeros(N)
     diagonal = len(entries) == W.size1()
     reason = "weight: diagonal, one factor a control" if diagonal else "weight: one Cholesky factor, no inverse of W"
-    return Weight(L, N, ca.vertcat(*entries), pattern, reason)
+    return Weight(N, lambda X: ca.mtimes(L.T, X), ca.vertcat(*entries), pattern, reason)
 
 
-def _is_identity(W: Any) -> bool:
-    l = W.size1()
-    return all(W[i, j].is_one() if i == j else W[i, j].is_zero() for i in range(l) for j in range(l))
+def _weigh_by_inverse_mass(mass: MassTreatment) -> Weight | None:
+    """W = Q^-1 = N^-T N^-1 with N = L sqrt(D) from Q = L D L^T: neither Q nor W is inverted or factorised again."""
+    if mass.factor is None:
+        raise SceneError(
+            f"weight='inverse_mass' needs a Q that is symmetric and positive definite; {mass.reason.split(':')[0]}. "
+            "Write Q[j, i] as the same expression as Q[i, j], narrow the domain, or give a weight of your own"
+        )
+    factor = mass.factor
+    if mass.method == "identity":
+        return None
+    root = [ca.sqrt(d) for d in factor.D]
+    n = len(root)
+    N = ca.SX(n, n)
+    for i, row in enumerate(factor.L):
+        for j in range(i + 1):
+            if not row[j].is_zero():
+                N[factor.order[i], factor.order[j]] = row[j] * root[j]
+    entries, pattern = _nonzeros(N)
+    reason = f"W = Q^-1, its factor is that of Q: {'a diagonal' if mass.method == 'diagonal' else 'L sqrt(D)'}"
+    return Weight(N, lambda X: _solve_half(factor, root, X), ca.vertcat(*entries), pattern, reason, of_mass=True)
+
+
+def _solve_half(factor: MassFactor, root: list[Any], right: Any) -> Any:
+    """N^-1 right by substitution: L first, as the solve with Q does, then sqrt(D)."""
+    dense = ca.densify(right)
+    rows: list[Any] = []
+    for i, k in enumerate(factor.order):
+        row = dense[k, :]
+        for j in range(i):
+            if not factor.L[i][j].is_zero():
+                row = row - factor.L[i][j] * rows[j]
+        rows.append(row)
+    solution = [row / root[i] for i, row in enumerate(rows)]
+    return ca.vertcat(*(row for _, row in sorted(zip(factor.order, solution, strict=True), key=lambda pair: pair[0])))
 
 
 def _positive_definite(value: Any) -> bool:

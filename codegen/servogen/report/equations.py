@@ -53,7 +53,9 @@ def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
         parts.append((f"{c.name}, {_KINDS[type(c)]}", Formulas(shown.operations, shown.definitions, lines)))
     if isinstance(scene.y, ca.SX):
         parts.append(("The free vector", _formulas([("y", scene.y)])))
-    if scene.weight is not None:
+    if scene.weighs_by_inverse_mass:
+        parts.append(("The weight", Formulas(0, (), (math(formula("W = Q^-1")),))))
+    elif scene.weight is not None:
         parts.append(("The weight", _formulas([("W", scene.weight)])))
     return tuple(parts)
 

@@ -48,12 +48,29 @@ def column(value: Any, what: str, size: int | None = None) -> Any:
     return sx
 
 
+def rates(value: Any, what: str, size: int) -> Any:
+    """One number, or a column of `size`; none of the numbers below zero."""
+    sx = to_sx(value, what)
+    sx = sx if sx.numel() == 1 else column(sx, what, size)
+    for element in sx.nonzeros():
+        if element.is_constant() and float(element) < 0:
+            raise SceneError(f"{what} has an entry {float(element)}; give numbers of 0 and above")
+    return sx
+
+
 def matrix(value: Any, what: str, rows: int, columns: int, why: str) -> Any:
     """A matrix of exactly rows x columns."""
     sx = to_sx(value, what)
     if sx.shape != (rows, columns):
         raise SceneError(f"{what} has shape {shape_text(sx)}; it must be {rows}x{columns} ({why})")
     return sx
+
+
+def is_identity(sx: Any) -> bool:
+    """Whether SX is square with ones and zeros as they are written."""
+    n = sx.size1()
+    entries = [(i, j) for i in range(n) for j in range(n)]
+    return n == sx.size2() and all(sx[i, j].is_one() if i == j else sx[i, j].is_zero() for i, j in entries)
 
 
 def symbols(value: Any, what: str) -> Any:

@@ -1,12 +1,12 @@
 """The mechanical model (1)-(2): q' = C u + D, Q u' = P + G tau."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 
 from servogen.errors import SceneError
-from servogen.scene.convert import column, matrix, symbols
+from servogen.scene.convert import column, is_identity, matrix, rates, symbols
 from servogen.scene.known import Gauge, KnownRates
 
 
@@ -31,6 +31,7 @@ class Mechanism:
     D: Any = None
     t: Any = None
     known: KnownRates | None = None
+    _postures: list[tuple[Any, Any, Any]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -72,3 +73,44 @@ class Mechanism:
         """A cheaper form of Q u' = P + G tau, where Q and P are those it is known for."""
         gauge = self.known.gauge if self.known is not None else None
         return gauge if gauge is not None and gauge.holds_for(self.Q, self.P) else None
+
+    def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
+        """The controls that by themselves would give u' = -damping u - stiffness (q - centre): SX, l; a scene's `y`.
+
+        G y = Q (-damping u - stiffness (q - centre)) - P: gravity, Coriolis and all other forces of P compensated.
+        With weight="inverse_mass" the answer is then the one whose u' is nearest to that in the kinetic metric
+        (Gauss' principle; Peters et al., "A unifying framework for robot control with redundant DOFs", Autonomous
+        Robots 24, 2008), so that what the constraints leave free comes to rest.
+        damping: 1/s; stiffness: 1/s^2; each a number, one per velocity parameter, or SX of parameters. centre: n_q, in
+        q's units, numbers or SX of parameters and references. SceneError for a mechanism without one control per
+        velocity parameter, and for a stiffness where q' is not u.
+        """
+        d, k = (rates(v, f"posture: {name}", self.u.size1()) for v, name in
+                ((damping, "damping"), (stiffness, "stiffness")))  # fmt: skip
+        wanted = -d * self.u
+        if k.is_zero() != (centre is None):
+            raise SceneError("posture: stiffness draws q to a centre; give both, or neither")
+        if centre is not None:
+            if self.C is not None or self.D is not None:
+                raise SceneError(
+                    "posture: stiffness needs q' = u, but the mechanism has a C or D; leave it out, or write y yourself"
+                )
+            wanted -= k * (self.q - column(centre, "posture: centre", self.q.size1()))
+        force = self.P
+        if self.gauge is not None:
+            wanted, force = wanted - self.gauge.u_dot, self.gauge.force
+        n = self.u.size1()
+        if self.tau.size1() != n or ca.sprank(ca.sparsify(self.G)) < n:
+            raise SceneError(
+                f"posture: G is {n}x{self.tau.size1()}; it is for mechanisms with one control per velocity parameter, "
+                "which G y reaches: write y yourself"
+            )
+        y = ca.mtimes(self.Q, wanted) - force
+        if not is_identity(self.G):
+            return ca.solve(self.G, y)
+        self._postures.append((y, force, wanted))
+        return y
+
+    def posture_of(self, y: Any) -> tuple[Any, Any] | None:
+        """(force, a) of a y = Q a - force made by `posture`, where G is the identity; None for any other y."""
+        return next(((force, a) for known, force, a in self._postures if ca.is_equal(known, y)), None)

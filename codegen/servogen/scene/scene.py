@@ -36,7 +36,8 @@ class Scene:
     constraints: Nonholonomic and Holonomic ones, or ControlsInvolved ones; rows stack in the order given.
     y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
     weight: W, l x l, symmetric positive definite, numbers or SX of the inputs and parameters: tau minimises
-        (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity.
+        (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity;
+        "inverse_mass": W = Q^-1, at little cost, for Q is factorised anyway.
     mode: "servo" (Eq. 10), or "ideal": G tau = R, the forces of an ideal passive constraint (Eqs. 13-17).
     domain: ranges {"q": (lo, hi), ...} or a callable taking a numpy Generator and returning one state;
         every check draws its states from it.
@@ -75,7 +76,9 @@ class Scene:
             if isinstance(self.y, str):
                 raise SceneError(f"y={self.y!r}; give None, an SX expression of the inputs, or 'input'")
             object.__setattr__(self, "y", column(self.y, "y", self.controls))
-        if self.weight is not None:
+        if isinstance(self.weight, str):
+            _check_inverse_mass(self)
+        elif self.weight is not None:
             l = self.controls
             object.__setattr__(self, "weight", matrix(self.weight, "weight", l, l, "one row and column per control"))
         _check_mode(self)
@@ -106,6 +109,11 @@ class Scene:
     def controls(self) -> int:
         """l, the number of controls."""
         return int(self.mechanism.tau.size1())
+
+    @property
+    def weighs_by_inverse_mass(self) -> bool:
+        """Whether W is Q^-1."""
+        return isinstance(self.weight, str)
 
     @property
     def system_shape(self) -> tuple[int, int]:
@@ -157,9 +165,20 @@ def expressions(scene: Scene) -> dict[str, Any]:
             parts[f"constraint {c.name!r}: {name}"] = theta
     if isinstance(scene.y, ca.SX):
         parts["y"] = scene.y
-    if scene.weight is not None:
+    if isinstance(scene.weight, ca.SX):
         parts["weight"] = scene.weight
     return parts
+
+
+def _check_inverse_mass(scene: Scene) -> None:
+    n = scene.mechanism.u.size1()
+    if scene.weight != "inverse_mass":
+        raise SceneError(f"weight={scene.weight!r}; give None, 'inverse_mass', or a matrix of numbers or SX")
+    if scene.controls != n:
+        raise SceneError(
+            f"weight='inverse_mass' is {n}x{n}, as Q is, but there are {scene.controls} controls; it is for mechanisms "
+            "with one control per velocity parameter: give a weight of your own, one row and column per control"
+        )
 
 
 def _check_mode(scene: Scene) -> None:

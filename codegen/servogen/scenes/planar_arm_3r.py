@@ -42,7 +42,7 @@ def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> s
         parameters=par,
         references=ref,
         y=-damping * u if damping else None,
-        weight=ca.triu2symm(ca.triu(ca.inv(Q))) if inverse_mass_weight else None,
+        weight="inverse_mass" if inverse_mass_weight else None,
         domain={"q": ([-0.5, 0.4, 0.4], [1.5, 2.2, 2.2]), "u": (-1.5, 1.5)},
     )
 

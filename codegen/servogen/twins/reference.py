@@ -175,8 +175,12 @@ class ReferenceTwin(Twin):
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
     ) -> tuple[FloatArray, Info]:
-        """y + W^-1/2 (S W^-1/2)+ (z - S y), which is y + W^-1 S^T (S W^-1 S^T)+ (z - S y): by W's eigenvectors."""
+        """y + W^-1/2 (S W^-1/2)+ (z - S y), which is y + W^-1 S^T (S W^-1 S^T)+ (z - S y): by W's eigenvectors.
+
+        W: the weight; where that is Q^-1, Q itself, whose eigenvectors are the same.
+        """
         values, vectors = np.linalg.eigh(W)
+        values = 1 / values if self.scene.weighs_by_inverse_mass else values
         root = (vectors * np.sqrt(values)) @ vectors.T
         inverse = (vectors / np.sqrt(values)) @ vectors.T
         sigma, info = pseudo_inverse.solve(S @ inverse, z, root @ y, self._policy)
@@ -346,6 +350,7 @@ def _root(matrix: FloatArray) -> FloatArray:
 
 
 def _weight(given: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The weight, or the Q that it is the inverse of; nothing where there is none."""
     return {"weight": given["weight"]} if "weight" in given else {}
 
 
@@ -376,7 +381,7 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     parts |= {"Q": mech.Q, "P": mech.P, "G": mech.G}
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
-        parts["weight"] = scene.weight
+        parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
     used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
     inputs = ca.vertcat(*(f.symbol for f in scene.input_fields()))

@@ -70,6 +70,13 @@ class Robot:
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
         return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known)
 
+    def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
+        """The joint efforts that by themselves would give u' = -damping u - stiffness (q - centre): a scene's `y`.
+
+        See `sg.Mechanism.posture`. damping: 1/s; stiffness: 1/s^2; centre: joint coordinates, rad or m.
+        """
+        return self.mechanism.posture(damping, stiffness, centre)
+
     def position(self, frame: str) -> Any:
         """The frame's origin in the world, 3, m. Holonomic constraints on it are derived without differentiation."""
         return self._pose(frame)[0]

@@ -19,6 +19,7 @@ from servogen.urdf.robot import load
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 NAIVE = "CasADi"
+WITHOUT_WEIGHT = "the constraint alone is compared, without the scene's weight and y, which the peers do not have"
 AS_WRITTEN = (
     "CasADi with adam's model and Pinocchio take the URDF's 1.57079632679 as written, servogen as a quarter turn: "
     "what they differ by is most of their error here"
@@ -28,7 +29,7 @@ AS_WRITTEN = (
 def bench_peers(spec: str, flags: Sequence[str] = ("-O2",), **options: Any) -> Bench:
     """`bench` of the scene that `spec` names, with all its peers; options as of `bench`."""
     peers = Peers(scene_module(spec), flags)
-    result = bench(load_scene(spec), flags=flags, contenders=peers, **options)
+    result = bench(peers.scene or load_scene(spec), flags=flags, contenders=peers, **options)
     return replace(result, remarks=(*result.remarks, *peers.remarks))
 
 
@@ -38,6 +39,10 @@ class Peers:
     def __init__(self, module: ModuleType, flags: Sequence[str], ablation: bool = True) -> None:
         self.module, self.flags, self.ablation = module, flags, ablation
         self.remarks: list[str] = []
+        self.scene: Scene | None = None  # what is compared, where it is not the file's own scene
+        if hasattr(module, "scene_of"):
+            self.scene = module.scene_of(load(module.ROBOT_FILE, quiet=True))
+            self.remarks.append(WITHOUT_WEIGHT)
 
     def __call__(self, scene: Scene, inputs: Inputs, capacity: int) -> Sequence[Contender]:
         found: list[Contender] = [servogen_c(scene, inputs, capacity, s, OUTPUTS) for s in ("float64", "float32")]

@@ -1,6 +1,7 @@
 """Robots of the built-in scenes in other libraries: adam's CasADi model, and Pinocchio with Eigen in C++.
 
-A scene file that lets its robot be exchanged defines `scene_of(robot)`, ROBOT_FILE and END_EFFECTOR.
+A scene file that lets its robot be exchanged defines `scene_of(robot)`, without weight and y, ROBOT_FILE and
+END_EFFECTOR.
 """
 
 import hashlib
@@ -53,7 +54,7 @@ class AdamRobot:
 
 
 def adam_scene(module: ModuleType) -> Scene:
-    """The scene of a file with adam's model in place of its own."""
+    """What a file's `scene_of` makes of adam's model."""
     scene = module.scene_of(AdamRobot(module.ROBOT_FILE), f"{module.scene.name}_adam")
     assert isinstance(scene, Scene)
     return scene
