@@ -40,8 +40,8 @@ def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def _summary(report: Report) -> list[tuple[str, str, bool]]:
-    """(what, figure, good) for the top of the page."""
+def _summary(report: Report) -> list[tuple[str, str, str, bool]]:
+    """(what, figure, in a word, good) for the top of the page."""
     check = report.check
     worst = max((o.max_ulps for o in check.outputs), default=float("nan"))
     solve = max((s.max_error for s in check.solves), default=float("nan"))
@@ -63,10 +63,11 @@ def _summary(report: Report) -> list[tuple[str, str, bool]]:
         values = sum(d.compared for d in report.board.differences)
         text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
         rows.append(("The same vectors on an emulated Cortex-M4F", text, report.board.passed))
-    for scene in report.scenes:
-        run = scene.trajectory
-        rows.append((f"{scene.name} in closed loop", f"{run.stop}; {scene.off_decay}", not run.stop.failed))
-    return rows
+    verdicts = [(s.name, s.trajectory.verdict) for s in report.scenes]
+    return [
+        *((what, text, "passed" if good else "failed", good) for what, text, good in rows),
+        *((f"{name} in closed loop", f"{v.reason} {v.advice}", v.word, v.held) for name, v in verdicts),
+    ]
 
 
 def _histogram(check: OutputCheck) -> str:
