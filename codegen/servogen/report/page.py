@@ -1,5 +1,6 @@
 """The page itself, from a template; no network, one file."""
 
+from pathlib import Path
 from typing import Any
 
 from servogen.bench.results import Bench, Measurement, Output
@@ -8,9 +9,16 @@ from servogen.report.collect import Report
 from servogen.report.sparsity import COLOURS, WORDS
 from servogen.report.templates import pages
 from servogen.results import Status
-from servogen.verify.check import OutputCheck
+from servogen.verify.check import CheckReport, OutputCheck
 from servogen.verify.truth import BAR
 from servogen.version import VERSION
+
+
+def write_page(report: Report, file: Path) -> None:
+    """Writes the page in one step, so that a reader never finds half of it."""
+    half = file.with_suffix(".part")
+    half.write_text(render_page(report), encoding="utf-8")
+    half.replace(file)
 
 
 def render_page(report: Report) -> str:
@@ -42,30 +50,37 @@ def _figure(value: float | None) -> str:
 
 def _summary(report: Report) -> list[tuple[str, str, bool]]:
     """(what, figure, good) for the top of the page."""
-    check = report.check
-    worst = max((o.max_ulps for o in check.outputs), default=float("nan"))
-    solve = max((s.max_error for s in check.solves), default=float("nan"))
-    rows = [
-        (
-            "Generated C against the 50-digit truth",
-            f"{sum(o.compared for o in check.outputs):,} values, largest error {worst:.3g} ulps of its output's scale",
-            check.passed,
-        ),
-        (
-            "tau against the exact solution of its system",
-            f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖), u the unit roundoff, κ the condition of S",
-            solve <= BAR,
-        ),
-    ]
-    if report.board is not None:
-        different = sum(d.different for d in report.board.differences)
-        largest = max((d.max_ulps for d in report.board.differences), default=0.0)
-        values = sum(d.compared for d in report.board.differences)
-        text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
-        rows.append(("The same vectors on an emulated Cortex-M4F", text, report.board.passed))
+    rows = []
     for scene in report.scenes:
-        run = scene.trajectory
-        rows.append((f"{scene.name} in closed loop", f"{run.stop}; {scene.off_decay}", not run.stop.failed))
+        if scene.loop is not None:
+            stop = scene.loop.trajectory.stop
+            rows.append((f"{scene.name} in closed loop", f"{stop}; {scene.loop.off_decay}", not stop.failed))
+    checks = [s.check for s in report.scenes if s.check is not None]
+    if checks:
+        outputs = [o for check in checks for o in check.outputs]
+        worst = max((o.max_ulps for o in outputs), default=float("nan"))
+        solve = max((s.max_error for check in checks for s in check.solves), default=float("nan"))
+        values = sum(o.compared for o in outputs)
+        rows += [
+            (
+                "Generated C against the 50-digit truth",
+                f"{values:,} values, largest error {worst:.3g} ulps of its output's scale",
+                all(check.passed for check in checks),
+            ),
+            (
+                "tau against the exact solution of its system",
+                f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖), u the unit roundoff, κ the condition of S",
+                solve <= BAR,
+            ),
+        ]
+    boards = [s.board for s in report.scenes if s.board is not None]
+    if boards:
+        differences = [d for board in boards for d in board.differences]
+        different = sum(d.different for d in differences)
+        largest = max((d.max_ulps for d in differences), default=0.0)
+        values = sum(d.compared for d in differences)
+        text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
+        rows.append(("The same vectors on an emulated Cortex-M4F", text, all(board.passed for board in boards)))
     return rows
 
 
@@ -77,12 +92,12 @@ def _histogram(check: OutputCheck) -> str:
     return " ".join("0" if s == 0 else "<0.1 %" if s < 0.1 else f"{s:.3g} %" for s in shares)
 
 
-def _checks(report: Report, scene: str) -> list[OutputCheck]:
+def _checks(check: CheckReport) -> list[OutputCheck]:
     """One row per output and scalar; compilers that agree to the bit are one."""
     rows: dict[tuple[str, str, str], OutputCheck] = {}
-    for o in report.check.outputs:
+    for o in check.outputs:
         key = (o.scalar, o.entry, o.output)
-        if o.scene == scene and (key not in rows or o.max_ulps > rows[key].max_ulps):
+        if key not in rows or o.max_ulps > rows[key].max_ulps:
             rows[key] = o
     return list(rows.values())
 
