@@ -83,11 +83,14 @@ def test_built_in_scenes_have_a_simulation_that_fits(name):
     check_simulation(*load_simulation(name))
 
 
-def test_a_run_that_finishes_is_good(monkeypatch, tmp_path, capsys):
-    file = scene_file(tmp_path, 'sg.Simulation(start={"q": 0, "u": 3}, duration=0.5, outputs={"K": u**2 / 2})')
+def test_a_run_that_is_held_is_good(monkeypatch, tmp_path, capsys):
+    file = scene_file(
+        tmp_path, 'sg.Simulation(start={"q": 0, "u": 3}, duration=0.5, domain={"u": (0, 3)}, outputs={"K": u**2 / 2})'
+    )
     assert command(monkeypatch, file, "--json", "--out", tmp_path / "out", "--start", "u=2", "--step", "0.01") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["stop"]["reason"] == "finished"
+    assert told["verdict"]["word"] == "held"
     assert told["rows"] == 51
     assert told["start"]["u"] == [2.0]
     assert told["end"]["u"][0] == pytest.approx(1 + np.exp(-0.5), rel=1e-9)
@@ -100,10 +103,13 @@ def test_tables_are_for_people(monkeypatch, tmp_path, capsys):
     units = '{"u": "rad/s", "tau": "N m", "psi": "1/s"}'
     file = scene_file(tmp_path, f'sg.Simulation(duration=0.1, stop={{"late": 0.05 - q}}, units={units})')
     folder = tmp_path / "out"
-    assert command(monkeypatch, file, "--no-plots", "--out", folder, "--start", "q=0", "--start", "u=1") == 0
+    assert command(monkeypatch, file, "--no-plots", "--out", folder, "--start", "q=0", "--start", "u=1") == 1
     printed = " ".join(capsys.readouterr().out.split())
     assert "stopped by 'late' at t = 0.05" in printed
-    for words in ("u [rad/s]", "tau [N m]", "largest |tau| 0 N m,", "by at most 0 1/s, at t = 0 s"):
+    told = (
+        "stopped: late: At t = 0.05 s the run's own stop 'late' ended it; constraint 'n' was off its prescribed decay "
+    )
+    for words in ("u [rad/s]", "tau [N m]", "largest |tau| 0 N m,", f"{told}by at most 0 1/s, at t = 0 s"):
         assert words in printed
     assert [f.name for f in folder.iterdir()] == ["falls.csv"]
 
@@ -118,6 +124,7 @@ def test_a_negative_status_is_a_failure(monkeypatch, tmp_path, capsys):
     assert command(monkeypatch, file, "--json", "--no-plots", "--out", tmp_path / "out") == 1
     told = json.loads(capsys.readouterr().out)
     assert told["stop"]["status"] == "OVERFLOW"
+    assert told["verdict"]["word"] == "refused: OVERFLOW"
     assert told["rows"] == 0
     for name in ("largest_tau", "smallest_sigma_min", "constraint_error", "constraint_error_t"):
         assert told[name] is None
@@ -137,7 +144,7 @@ def test_a_reference_of_the_command_goes_before_the_files(monkeypatch, tmp_path,
     start = '"start": {"q": 0, "u": 2}, "duration": 0.1, "outputs": {"r": ref.r}'
     file = scene_file(tmp_path, f'sg.Simulation(references={{"r": {moving}}}, **{{{start}}})')
     where = ("--json", "--no-plots", "--out", tmp_path / "out")
-    assert command(monkeypatch, file, *where, "--reference", "r=2") == 0
+    assert command(monkeypatch, file, *where, "--reference", "r=2") == 1
     told = json.loads(capsys.readouterr().out)
     assert (told["end"]["r"], told["end"]["psi"]) == (2.0, [0.0])
 

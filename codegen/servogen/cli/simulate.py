@@ -12,13 +12,14 @@ from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, prog
 from servogen.cli.generate import scalar_option
 from servogen.errors import SceneError
 from servogen.loading import load_simulation
-from servogen.results import STATUS_MEANING, FloatArray, Status
+from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.simulation import METHODS, checked, run_takes
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
+from servogen.simulate.verdict import Verdict
 from servogen.verify.harness import targets
 
 
@@ -66,8 +67,8 @@ def simulate_command(
     """Run SCENE in closed loop: its controller and its plant, both generated C, by fixed steps.
 
     Where it starts, how long it runs, what is drawn and what stops it comes from the variable `simulation`
-    (sg.Simulation) of the scene's file. Exit code 1 where a negative status ended the run, or where a board's rows are
-    not the host's.
+    (sg.Simulation) of the scene's file. Exit code 0 where the constraints were held, 1 where they were not (the verdict
+    says what happened and what to try) or a board's rows are not the host's.
     """
     loaded, simulation = load_simulation(scene)
     takes = run_takes(loaded)
@@ -109,7 +110,7 @@ def simulate_command(
         emit_json(summary | {"files": files})
     else:
         _show(trajectory, summary, changed, files)
-    click.get_current_context().exit(FAILED if trajectory.stop.failed or differing else GOOD)
+    click.get_current_context().exit(GOOD if trajectory.verdict.held and not differing else FAILED)
 
 
 def _assignments(given: Sequence[str], option: str, sizes: Mapping[str, int]) -> dict[str, FloatArray]:
@@ -138,6 +139,7 @@ def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
         "step": trajectory.step,
         "hold": trajectory.hold,
         "rows": len(trajectory.t),
+        "verdict": trajectory.verdict,
         "stop": {
             "reason": trajectory.stop.reason,
             "t": trajectory.stop.t,
@@ -176,19 +178,25 @@ def _show(
         _show_run(trajectory, summary, title)
     else:
         out.print(title, markup=False)
-        _show_refusal(trajectory, changed)
+        _show_changes(changed)
+    _show_verdict(trajectory.verdict)
     for file in files:
         out.print(f"  wrote  {file}", markup=False, soft_wrap=True)
 
 
-def _show_refusal(trajectory: Trajectory, changed: Mapping[str, Mapping[str, FloatArray]]) -> None:
-    """A run without a row: whose status, and what of the scene's own values was changed."""
-    stop = trajectory.stop
-    out.print(f"  the {stop.reason} refused its start: {STATUS_MEANING[stop.status]}", markup=False)
+def _show_changes(changed: Mapping[str, Mapping[str, FloatArray]]) -> None:
+    """Beside a start that was refused: what of the scene's own values was changed."""
     for what, values in changed.items():
         if values:
             told = "; ".join(f"{n} = {_numbers(v)}" for n, v in values.items())
             out.print(f"  {what} changed: {told}", markup=False)
+
+
+def _show_verdict(verdict: Verdict) -> None:
+    style = "bold green" if verdict.held else "bold red"
+    out.print(f"  [{style}]{escape(verdict.word)}[/]: {escape(verdict.reason)}")
+    if verdict.advice:
+        out.print(f"  {verdict.advice}", markup=False)
 
 
 def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) -> None:
@@ -204,7 +212,6 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
         differing = summary["rows_unlike_the_hosts"]
         same = "bit for bit the host's" if not differing else f"[bold red]{differing} unlike the host's[/]"
         out.print(f"  run on {summary['target']}: rows {same}")
-    out.print(f"  {trajectory.off_decay(units.get(trajectory.constraint_name))}", markup=False)
     for name, error in summary["decay_error"].items():
         out.print(f"  {name} off its ideal decay by at most {error:.3g} of it", markup=False)
     largest = with_unit(summary["largest_tau"], units.get("tau"), 4)

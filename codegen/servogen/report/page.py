@@ -1,11 +1,12 @@
 """The page itself, from a template; no network, one file."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from servogen.bench.results import Bench, Measurement, Output
 from servogen.plan.module import mix_of
-from servogen.report.collect import Report
+from servogen.report.collect import Report, SceneReport
 from servogen.report.sparsity import COLOURS, WORDS
 from servogen.report.templates import pages
 from servogen.results import Status
@@ -23,7 +24,7 @@ def write_page(report: Report, file: Path) -> None:
 
 def render_page(report: Report) -> str:
     """The HTML of a report."""
-    pages().filters["figure"] = _figure
+    pages().filters.update(figure=_figure, ulps=_ulps)
     return (
         pages()
         .get_template("report.html.j2")
@@ -32,7 +33,7 @@ def render_page(report: Report) -> str:
             version=VERSION,
             bar=BAR,
             mix=mix_of,
-            summary=_summary(report),
+            cards=_cards,
             checks=_checks,
             histogram=_histogram,
             bench_rows=_bench_rows,
@@ -48,40 +49,52 @@ def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def _summary(report: Report) -> list[tuple[str, str, bool]]:
-    """(what, figure, good) for the top of the page."""
-    rows = []
-    for scene in report.scenes:
-        if scene.loop is not None:
-            stop = scene.loop.trajectory.stop
-            rows.append((f"{scene.name} in closed loop", f"{stop}; {scene.loop.off_decay}", not stop.failed))
-    checks = [s.check for s in report.scenes if s.check is not None]
-    if checks:
-        outputs = [o for check in checks for o in check.outputs]
-        worst = max((o.max_ulps for o in outputs), default=float("nan"))
-        solve = max((s.max_error for check in checks for s in check.solves), default=float("nan"))
-        values = sum(o.compared for o in outputs)
-        rows += [
-            (
-                "Generated C against the 50-digit truth",
-                f"{values:,} values, largest error {worst:.3g} ulps of its output's scale",
-                all(check.passed for check in checks),
-            ),
-            (
-                "tau against the exact solution of its system",
-                f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖), u the unit roundoff, κ the condition of S",
-                solve <= BAR,
-            ),
-        ]
-    boards = [s.board for s in report.scenes if s.board is not None]
-    if boards:
-        differences = [d for board in boards for d in board.differences]
-        different = sum(d.different for d in differences)
-        largest = max((d.max_ulps for d in differences), default=0.0)
-        values = sum(d.compared for d in differences)
-        text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
-        rows.append(("The same vectors on an emulated Cortex-M4F", text, all(board.passed for board in boards)))
-    return rows
+def _ulps(value: float | None) -> str:
+    """An error in ulps; what no reader needs to tell from none is 0."""
+    return _figure(0.0 if value is not None and value < 1e-3 else value)
+
+
+@dataclass(frozen=True)
+class Card:
+    """One answer at the top of a scene: what is judged, the judgement in a word, whether it is good, and a sentence."""
+
+    what: str
+    word: str
+    good: bool
+    text: str
+
+
+def _cards(scene: SceneReport) -> list[Card]:
+    """The judgements of a scene: its loop, then its generated code."""
+    cards = []
+    if scene.loop is not None:
+        verdict = scene.loop.trajectory.verdict
+        cards.append(Card("The closed loop", verdict.word, verdict.held, f"{verdict.reason} {verdict.advice}".rstrip()))
+    if scene.check is not None:
+        reports = [r for r in (scene.check, scene.board) if r is not None]
+        good = all(r.passed for r in reports)
+        text = _accuracy(scene.check) + ("" if scene.board is None else _sameness(scene.board))
+        cards.append(Card("The generated code", "right" if good else "wrong", good, text))
+    return cards
+
+
+def _accuracy(check: CheckReport) -> str:
+    values = sum(o.compared for o in check.outputs)
+    worst = max((o.max_ulps for o in check.outputs), default=float("nan"))
+    solve = max((s.max_error for s in check.solves), default=float("nan"))
+    return (
+        f"{values:,} values against the 50-digit truth, the largest error {_ulps(worst)} ulps; tau against exact "
+        f"solutions {_figure(solve)} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)."
+    )
+
+
+def _sameness(board: CheckReport) -> str:
+    values = sum(d.compared for d in board.differences)
+    different = sum(d.different for d in board.differences)
+    if not different:
+        return f" On an emulated Cortex-M4F the same bits, {values:,} values."
+    largest = max(d.max_ulps for d in board.differences)
+    return f" On an emulated Cortex-M4F {different:,} of {values:,} values differ, by up to {_ulps(largest)} ulps."
 
 
 def _histogram(check: OutputCheck) -> str:

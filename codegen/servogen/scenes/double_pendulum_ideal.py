@@ -23,5 +23,6 @@ simulation = sg.Simulation(
     outputs={"E": E, "K/E": K / E},
     decay={"E": (-1.0, ref.E_0)},
     stop={"K/E < 1e-3": K - 1e-3 * E},
+    domain={"u": (-8.0, 8.0)},  # as the energy goes, what is left of it is all motion for a while
     units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J"},
 )

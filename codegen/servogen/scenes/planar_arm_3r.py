@@ -75,6 +75,7 @@ def arm_run(scene: sg.Scene) -> sg.Simulation:
             "tracking error": ca.norm_2(error),
             "kinetic energy": ca.bilin(scene.mechanism.Q, scene.mechanism.u, scene.mechanism.u) / 2,
         },
+        domain={"q": ([-1.2, 0.4, -1.2], [1.5, 2.8, 2.2]), "u": (-15.0, 15.0)},  # the spare joint goes its own way
         units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "m", "tracking error": "m", "kinetic energy": "J"},
     )
 

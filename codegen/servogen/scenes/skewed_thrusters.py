@@ -50,6 +50,7 @@ simulation = sg.Simulation(
     start={"q": [0.0] * 6, "u": [0.3, -0.2, 0.1, 0.2, -0.1, 0.15], "velocity": [0.5, 0.0, 0.0]},
     duration=8.0,
     step=1e-2,
+    domain={"q": (-5.0, 5.0)},  # its velocity is held, so it flies on
     outputs={"speed": ca.norm_2(v)},
     units={"u": "m/s, rad/s", "tau": "N", "speed": "m/s"},
 )

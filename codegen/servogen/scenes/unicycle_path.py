@@ -5,6 +5,7 @@ towards the circle (holonomic, second order), and the speed towards its set-poin
 """
 
 import casadi as ca
+import numpy as np
 
 import servogen as sg
 
@@ -47,6 +48,7 @@ simulation = sg.Simulation(
     start={"q": [2.6, 0.0, 1.2], "u": [0.3, 0.0]},
     duration=10.0,
     step=2e-3,
+    domain={"q": ([-3.0, -3.0, -np.inf], [3.0, 3.0, np.inf]), "u": ([0.0, -2.0], [1.5, 2.0])},  # all round the circle
     outputs={"x": q[0], "y": q[1], "distance to the circle": distance},
     units={"u": "m/s, rad/s", "tau": "N m", "x": "m", "y": "m", "distance to the circle": "m"},
 )

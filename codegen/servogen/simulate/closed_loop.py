@@ -17,6 +17,7 @@ from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.simulate.board import Setup, run_on_board
+from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay
 from servogen.simulate.simulation import (
     METHODS,
@@ -254,6 +255,7 @@ class ClosedLoop:
             rank=marks[:, 1],
             sigma_min=sigma_min[:, 0],
             stop=stop,
+            claim=claim_of(self.scene, self.simulation, parameters, step if hold else None),
             outputs=outputs,
             decay=self._decay(outputs, columns),
             parameters=parameters,

@@ -1,5 +1,6 @@
 """What the constraints ought to do: the decay that Theta prescribes, Eqs. (4), (12)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -28,8 +29,8 @@ def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], ste
         state = ca.vertcat(state, rate(scene, state, f"constraint {constraint.name!r}: psi'"))
     else:
         matrix = constraint.Theta
-    now = _value(scene, state, start).ravel()
-    forward = expm(_value(scene, matrix, start) * step)
+    now = value_at(scene, state, start).ravel()
+    forward = expm(value_at(scene, matrix, start) * step)
     states = np.empty((count, len(now)))
     for k in range(count):
         states[k] = now
@@ -37,7 +38,8 @@ def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], ste
     return states[:, : constraint.size]
 
 
-def _value(scene: Scene, expression: Any, start: dict[str, FloatArray]) -> FloatArray:
+def value_at(scene: Scene, expression: Any, values: Mapping[str, FloatArray]) -> FloatArray:
+    """The expression at these parameters, inputs and tau, all of them given by name."""
     symbols = known_symbols(scene)
     function = ca.Function("value", [s for _, s in symbols], [ca.densify(expression)])
-    return np.array(function(*(ca.DM(start[n].astype(float)) for n, _ in symbols)), dtype=float)
+    return np.array(function(*(ca.DM(values[n].astype(float)) for n, _ in symbols)), dtype=float)

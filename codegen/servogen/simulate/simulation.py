@@ -34,6 +34,11 @@ class Simulation:
     sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
         or a control's magnitude exceeds the other.
     method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
+    domain: {"q": (lo, hi), "u": (lo, hi)}, where this run is expected to go, if not where the scene's domain says; each
+        a number or a list, -inf and inf for no end. A run that goes elsewhere has left the domain, whatever psi does.
+    tolerance: of psi (phi) off its prescribed decay: a share of its size over the domain, or {constraint: number} in
+        psi's own unit. Default 1e-3 of its size; with a sampling controller 1e-2, and omega hold more, omega the
+        fastest eigenvalue of Theta in 1/s: so much an error moves within a tick.
     units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
     """
 
@@ -48,9 +53,11 @@ class Simulation:
     sigma_min: float | None = None
     tau_max: float | None = None
     method: str = "rk4"
+    domain: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    tolerance: float | Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        for what in ("start", "outputs", "decay", "stop", "references", "units"):
+        for what in ("start", "outputs", "decay", "stop", "references", "units", "domain"):
             if not isinstance(getattr(self, what), Mapping):
                 raise SceneError(f"simulation: {what} = {getattr(self, what)!r}; give {{'name': ...}}")
         for what in ("outputs", "stop"):
@@ -58,10 +65,10 @@ class Simulation:
             object.__setattr__(self, what, checked)
         for name in ("duration", "step", "sigma_min", "tau_max"):
             value, optional = getattr(self, name), name in ("sigma_min", "tau_max")
-            number = isinstance(value, int | float | np.integer | np.floating) and np.isfinite(value)
-            if not (number and value > 0) and not (value is None and optional):
+            if not _positive(value) and not (value is None and optional):
                 remedy = "give a positive number" + (", or None" if optional else "")
                 raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
+        _check_tolerance(self.tolerance)
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -98,12 +105,32 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
                 )
     moving_references(scene, simulation, ca.SX.sym("t"))
     _resting_references(scene, simulation)
+    _check_run_domain(scene, simulation)
     names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
             raise SceneError(
                 f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
             )
+
+
+def _check_run_domain(scene: Scene, simulation: Simulation) -> None:
+    """The simulation's domain fits q and u, and its tolerances belong to constraints."""
+    sizes = {"q": scene.mechanism.q.size1(), "u": scene.mechanism.u.size1()}
+    for name, limits in simulation.domain.items():
+        what = f"simulation: domain[{name!r}]"
+        if name not in sizes:
+            raise SceneError(f"{what} is neither q nor u; a run's domain is of these two")
+        try:
+            lo, hi = (np.broadcast_to(np.asarray(b, dtype=float), (sizes[name],)) for b in limits)
+        except (TypeError, ValueError):
+            raise SceneError(f"{what} = {limits!r}; give (lo, hi), each a number or a list of {sizes[name]}") from None
+        if not np.all(lo < hi):
+            raise SceneError(f"{what} = {limits!r}; give lo < hi, -inf and inf for no end")
+    known = {c.name for c in scene.constraints}
+    for name in simulation.tolerance if isinstance(simulation.tolerance, Mapping) else ():
+        if name not in known:
+            raise SceneError(f"simulation: tolerance[{name!r}] belongs to no constraint; there are {', '.join(known)}")
 
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
@@ -226,6 +253,20 @@ def _course(function: Callable[[Any], Any], t: Any, what: str, size: int) -> Any
     if not all(np.isfinite(course.instruction_constant(k)) for k in constants):
         raise SceneError(f"{what} holds a number that is not finite; {remedy}")
     return sx
+
+
+def _positive(value: Any) -> bool:
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return number and bool(np.isfinite(value)) and value > 0
+
+
+def _check_tolerance(given: Any) -> None:
+    for value in given.values() if isinstance(given, Mapping) else () if given is None else (given,):
+        if not _positive(value):
+            raise SceneError(
+                f"simulation: tolerance = {given!r}; give a positive share of psi's size, say 1e-3, "
+                "or {constraint: positive number in psi's unit}"
+            )
 
 
 def _scalar(expression: Any, what: str) -> Any:

@@ -1,6 +1,7 @@
 """What a run leaves behind."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 
 from servogen.results import FloatArray, Status
 from servogen.scene.system import SYSTEMS, Kind
+from servogen.simulate.claim import Claim
+from servogen.simulate.verdict import Verdict, judge
 
 Reason = Literal["finished", "event", "controller", "plant", "stop expression", "reference"]
 
@@ -46,6 +49,7 @@ class Trajectory:
     ideal (N, m): the same as prescribed by Theta from the start on.
     status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
     output ought to be. parameters and inputs (y and references at t = 0): as used. step: between rows, seconds.
+    claim: what the run is held to, see verdict.
     method: of the integration; seconds: that it took on this machine.
     """
 
@@ -64,11 +68,17 @@ class Trajectory:
     rank: NDArray[np.int32]
     sigma_min: FloatArray
     stop: Stop
+    claim: Claim
     outputs: dict[str, FloatArray] = field(default_factory=dict)
     decay: dict[str, FloatArray] = field(default_factory=dict)
     parameters: dict[str, FloatArray] = field(default_factory=dict)
     inputs: dict[str, FloatArray] = field(default_factory=dict)
     seconds: float = 0.0
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the constraints were held, and if not, what happened, when and why."""
+        return judge(self)
 
     @property
     def constraint_name(self) -> Literal["psi", "phi"]:

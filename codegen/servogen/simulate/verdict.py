@@ -1,0 +1,215 @@
+"""What a run came to: one word, one sentence of what happened, when and why, and what to try."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servogen.results import STATUS_MEANING, Status
+
+if TYPE_CHECKING:
+    from servogen.simulate.trajectory import Trajectory
+
+GROWTH = 10.0
+"""A deviation that grows by this factor from the third quarter of a run to the last, and has come to a hundredth of its
+tolerance, is on its way out."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """word: `held`, `left the domain`, `limited`, `inconsistent`, `not held`, `stopped: reason` or `refused: status`.
+
+    held: all steps were done, psi (phi) stayed within its tolerance of the prescribed decay at every row and was not on
+    its way out at the end, the state stayed in its domain, and the controller met its constraints at every row.
+    not held: psi left its decay, and none of the other words tells why.
+    What happened first gives the word. reason: one sentence, with figures and units. advice: what to try.
+    """
+
+    word: str
+    reason: str
+    advice: str
+
+    @property
+    def held(self) -> bool:
+        return self.word == "held"
+
+    def __str__(self) -> str:
+        return self.word
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """Something that keeps a run from being held: since when, the word, what happened, what to try."""
+
+    t: float
+    word: str
+    told: str
+    advice: str
+
+
+def judge(run: "Trajectory") -> Verdict:
+    """The verdict of a run, from its rows and its claim."""
+    if len(run.t) == 0:
+        return _refused_at_the_start(run)
+    findings = sorted(_findings(run), key=lambda f: f.t)
+    off = _off(run)
+    if findings:
+        first = findings[0]
+        later = "".join(f"; then, at t = {f.t:.4g} s, {f.told}" for f in findings[1:])
+        return Verdict(first.word, f"At t = {first.t:.4g} s {first.told}{later}; {off.clause}.", first.advice)
+    if off.since is not None or off.growing:
+        return Verdict("not held", f"{_capital(off.clause)}.", _advice_where_off(run))
+    return Verdict("held", f"{_capital(off.clause)}; for {run.t[-1]:.4g} s q and u stayed within {_sources(run)}.", "")
+
+
+def _findings(run: "Trajectory") -> Iterator[_Finding]:
+    yield from _left(run)
+    yield from _inconsistent(run)
+    yield from _ended(run)
+
+
+def _left(run: "Trajectory") -> Iterator[_Finding]:
+    claim = run.claim
+    state = claim.folded(np.hstack([run.q, run.u]).astype(float))
+    outside = (state < claim.low) | (state > claim.high)
+    rows = np.flatnonzero(outside.any(axis=1))
+    if not len(rows):
+        return
+    first = int(rows[0])
+    k = int(np.flatnonzero(outside[first])[0])
+    unit = claim.units[k]
+    name, source = claim.names[k], claim.sources[claim.names[k][0]]
+    own = state[:, k]
+    worst = own[int(np.argmax(np.maximum(own - claim.high[k], claim.low[k] - own)))]
+    told = (
+        f"{name} left the range {_number(claim.low[k])} to {_number(claim.high[k], unit)} ({source}), "
+        f"and came to {_number(worst, unit)}"
+    )
+    if first == 0:
+        told = told.replace(" left the range", " was already outside the range", 1)
+    meant = 'If the run is meant to go there, say so: sg.Simulation(domain={"q": (lo, hi), "u": (lo, hi)})'
+    off = _off(run).since
+    if off is None or off > run.t[first]:
+        advice = (
+            f"{meant}. If not: the constraints were held until then, so this is motion that they leave free; "
+            "constrain it too, or damp it with y or a weight where there are more controls than constraints."
+        )
+    else:
+        advice = f"{meant}. If not: start nearer, or ask for slower errors (Theta) and slower references."
+    yield _Finding(float(run.t[first]), "left the domain", told, advice)
+
+
+def _inconsistent(run: "Trajectory") -> Iterator[_Finding]:
+    rows = np.flatnonzero(run.status == Status.RANK_DEFICIENT_INCONSISTENT)
+    if len(rows):
+        first = int(rows[0])
+        told = (
+            f"the constraints could not all be met (rank {run.rank[first]} of {run.constraint.shape[1]}); so at "
+            f"{len(rows):,} of {len(run.t):,} rows"
+        )
+        advice = (
+            "The controls do not reach all constraints there: drop one, keep away from the singularity "
+            "(sg.Simulation(sigma_min=...) stops before it), or allow a compromise near it (sg.Solver(damping=...))."
+        )
+        yield _Finding(float(run.t[first]), "inconsistent", told, advice)
+
+
+def _ended(run: "Trajectory") -> Iterator[_Finding]:
+    stop = run.stop
+    if stop.reason == "event":
+        yield _Finding(
+            stop.t,
+            f"stopped: {stop.event}",
+            f"the run's own stop {stop.event!r} ended it",
+            f"If that is its natural end, run it for less than {stop.t:.4g} s; if not, see what leads there.",
+        )
+    elif stop.reason == "controller":
+        told = f"the controller refused: {STATUS_MEANING[stop.status]}"
+        yield _Finding(stop.t, f"refused: {stop.status.name}", told, _advice_of(stop.status))
+    elif stop.reason != "finished":
+        told = f"the {stop.reason} could not be computed: {STATUS_MEANING[stop.status]}"
+        yield _Finding(stop.t, f"stopped: {stop.reason} {stop.status.name}", told, _advice_of(stop.status))
+
+
+def _refused_at_the_start(run: "Trajectory") -> Verdict:
+    stop = run.stop
+    word = (
+        f"refused: {stop.status.name}" if stop.reason == "controller" else f"stopped: {stop.reason} {stop.status.name}"
+    )
+    reason = f"The {stop.reason} refused the start: {STATUS_MEANING[stop.status]}."
+    return Verdict(word, reason, _advice_of(stop.status))
+
+
+@dataclass(frozen=True)
+class _Off:
+    """psi off its decay: since when beyond its tolerance, or None; whether on its way out at the end; in words."""
+
+    since: float | None
+    growing: bool
+    clause: str
+
+
+def _off(run: "Trajectory") -> _Off:
+    claim = run.claim
+    deviation = np.abs(run.constraint - run.ideal).astype(float)
+    share = deviation / claim.tolerance
+    largest = share.max(axis=1)
+    row = int(np.argmax(largest))
+    k = int(np.argmax(share[row]))
+    beyond = np.flatnonzero(largest > 1)
+    quarter = len(run.t) // 4
+    growing = False
+    if quarter > 1 and not len(beyond):
+        before, last = largest[-2 * quarter : -quarter].max(), largest[-quarter:].max()
+        growing = bool(last > max(GROWTH * before, 0.01))
+    unit = claim.row_units[k]
+    share_told = "" if math.isnan(claim.relative[k]) else f", {claim.relative[k]:.3g} of its size over the domain"
+    tolerance = f"tolerance {_number(claim.tolerance[k], unit)}{share_told}"
+    worst = f"{_number(deviation[row, k], unit)}, at t = {run.t[row]:.4g} s"
+    what = f"{claim.rows[k]} was off its prescribed decay by at most {worst}"
+    if len(beyond):
+        since = float(run.t[beyond[0]])
+        return _Off(since, False, f"{what}, and beyond its tolerance since t = {since:.4g} s ({tolerance})")
+    if growing:
+        return _Off(None, True, f"{what}, and that deviation is growing ({tolerance})")
+    return _Off(None, False, f"{what} ({tolerance})")
+
+
+def _advice_where_off(run: "Trajectory") -> str:
+    regularised = int(np.sum(run.status == Status.REGULARISED))
+    if regularised:
+        return (
+            f"Damping changed the answer at {regularised:,} of {len(run.t):,} rows: keep further from the singularity, "
+            "or damp less (sg.Solver(damping=...))."
+        )
+    if run.hold:
+        return (
+            "Sample faster (a shorter hold), ask for slower errors (Theta), or damp the motion that is left free (y)."
+        )
+    return (
+        "Halve the step: what falls with it is the integrator's error. What stays is the model's: another plant than "
+        "the controller's, or single precision."
+    )
+
+
+def _advice_of(status: Status) -> str:
+    return {
+        Status.NONFINITE: "Look for a division by zero or a root of a negative number in the model at that state.",
+        Status.SINGULAR_MASS: "Give parameters of a body that has mass, or keep away from where Q is singular.",
+        Status.NOT_CONVERGED: "Scale the constraints and controls to like sizes; tell us of it with the state.",
+        Status.OVERFLOW: "Something grew without bound: look at what grows before the end, and try a shorter step.",
+    }[status]
+
+
+def _sources(run: "Trajectory") -> str:
+    return " and ".join(dict.fromkeys(run.claim.sources.values()))
+
+
+def _number(value: Any, unit: str = "") -> str:
+    return f"{value:.4g} {unit}".rstrip()
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
