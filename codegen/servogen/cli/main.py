@@ -10,7 +10,16 @@ from typing import NoReturn
 
 import click
 
-from servogen.cli.console import FAILED, GOOD, INTERNAL, WRONG_INPUT, complain, emit_json, show_warnings
+from servogen.cli.console import (
+    FAILED,
+    GOOD,
+    INTERNAL,
+    INTERRUPTED,
+    WRONG_INPUT,
+    complain,
+    emit_json,
+    show_warnings,
+)
 from servogen.errors import SceneError
 from servogen.simulate.board import BoardRunError
 from servogen.tools import ToolMissing
@@ -64,7 +73,7 @@ def main() -> None:
         # without its standalone mode click hands back the code of click.exceptions.Exit
         code = cli(standalone_mode=False)
     except click.Abort:
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except click.ClickException as error:
         if not _as_json():
             error.show()

@@ -7,6 +7,8 @@ import click
 from servogen.cli.console import (
     FAILED,
     GOOD,
+    INTERRUPTED,
+    WRONG_INPUT,
     all_option,
     chosen,
     complain,
@@ -16,12 +18,12 @@ from servogen.cli.console import (
     progress,
     scenes_argument,
 )
-from servogen.report.collect import collect
-from servogen.report.page import render_page
+from servogen.interrupt import interrupt_kept
+from servogen.report.collect import Report, Wishes, collect
+from servogen.report.page import write_page
+from servogen.report.scene_work import BOARD
 from servogen.tools import ToolMissing
 from servogen.verify.harness import require_target
-
-BOARD = "cortex-m4"
 
 
 @click.command("report")
@@ -34,30 +36,55 @@ BOARD = "cortex-m4"
 @click.option("--states", type=click.IntRange(1), default=500, show_default=True, help="States of the cross-check.")
 @click.option("--rounds", type=click.IntRange(1), default=10, show_default=True, help="Rounds of the benchmark.")
 @click.option("--peers", is_flag=True, help="Benchmark against whole rivals, and ours less each pass.")
+@click.option(
+    "--cap", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
+    help="Most seconds for each stage of a scene; default by stage, from 60 to 600. What takes longer is skipped.",
+)  # fmt: skip
 @json_option
 def report_command(
-    scenes: tuple[str, ...], every: bool, folder: Path, states: int, rounds: int, peers: bool, as_json: bool
+    scenes: tuple[str, ...],
+    every: bool,
+    folder: Path,
+    states: int,
+    rounds: int,
+    peers: bool,
+    cap: float | None,
+    as_json: bool,
 ) -> None:
-    """Generate, cross-check, simulate and benchmark SCENE...; one self-contained HTML page, and the files beside it."""
+    """Generate, simulate, cross-check and benchmark SCENE...; one self-contained HTML page, and the files beside it.
+
+    Ctrl-C ends the stage that runs; the page then shows what was done until then, and says what is missing.
+    """
     names = chosen(scenes, every)
-    board: str | None = BOARD
-    skipped = []
+    without: tuple[tuple[str, str], ...] = ()
     try:
         require_target(BOARD)
     except ToolMissing as missing:
-        board = None
-        skipped.append(f"the cross-check on the emulated Cortex-M4F: {missing}")
-    with progress(as_json, logged=True) as advance:
-        report = collect(names, folder, board, states, rounds, skipped, advance, peers)
+        without = (("board", f"the cross-check on the emulated Cortex-M4F: {missing}"),)
     page = folder / "report.html"
-    page.write_text(render_page(report), encoding="utf-8")
-    passed = report.check.passed and (report.board is None or report.board.passed)
+    with progress(as_json, logged=True) as advance, interrupt_kept() as interrupted:
+        wishes = Wishes(folder, states, rounds, peers, without, cap)
+        report = collect(names, wishes, advance, interrupted, lambda so_far: write_page(so_far, page))
     if as_json:
-        emit_json({"page": page, "passed": passed, "check": report.check, "board": report.board})
+        emit_json(_summary(report, page, interrupted.is_set()))
     else:
         for text in report.skipped:
             complain("SKIPPED", text)
-        for text in (*report.check.problems, *(report.board.problems if report.board else ())):
+        for text in report.problems:
             complain("FAILED", text)
         out.print(f"wrote {page}", markup=False, soft_wrap=True)
-    raise click.exceptions.Exit(GOOD if passed else FAILED)
+    raise click.exceptions.Exit(_exit_code(report, interrupted.is_set()))
+
+
+def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]:
+    scenes = {s.name: {"check": s.check, "board": s.board, "missing": s.missing} for s in report.scenes}
+    good = not report.problems and not interrupted
+    return {"page": page, "passed": good, "problems": report.problems, "skipped": report.skipped, "scenes": scenes}
+
+
+def _exit_code(report: Report, interrupted: bool) -> int:
+    if interrupted:
+        return INTERRUPTED
+    if report.wrong_input:
+        return WRONG_INPUT
+    return FAILED if report.problems else GOOD

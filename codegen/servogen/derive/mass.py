@@ -187,7 +187,7 @@ def _solve_diagonal(Q: Any, right: Any, positive: bool) -> tuple[Any, MassTreatm
     pivots, scales = _guards(signed, [ca.SX(0)] * len(diagonal), positive)
     reason = "Q is diagonal: one division per row"
     factor = _diagonal_factor(diagonal) if positive else None
-    return _matrix(solution), MassTreatment("diagonal", reason, pivots, scales, positive, factor)
+    return _matrix(solution), MassTreatment("diagonal", reason, pivots, scales, positive, factor=factor)
 
 
 def _diagonal_factor(diagonal: list[Any]) -> MassFactor:
@@ -230,7 +230,7 @@ def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
     solution: list[Any] = [row for _, row in sorted(zip(order, x, strict=True), key=lambda pair: pair[0])]
     unit = tuple(tuple(ca.SX(1) if i == j else L[i][j] for j in range(n)) for i in range(n))
     factor = MassFactor(tuple(order), unit, tuple(d))
-    return _matrix(solution), MassTreatment("LDL^T", reason, pivots, scales, True, factor)
+    return _matrix(solution), MassTreatment("LDL^T", reason, pivots, scales, True, factor=factor)
 
 
 def _elimination_order(Q: Any, right: Any) -> list[int]:

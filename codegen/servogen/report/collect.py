@@ -1,92 +1,52 @@
-"""Everything the page shows, computed: generation, cross-check, closed loop, run time against error."""
+"""Everything the page shows: each scene's stages, and the paper's figures."""
 
-import base64
-import io
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Event
+from typing import Any, TypeVar
 
-import numpy as np
-from PIL import Image
-
-from servogen.bench.peers.peers import bench_peers
-from servogen.bench.plot import draw
-from servogen.bench.results import Bench
-from servogen.bench.run import bench
-from servogen.compiler import build, optimised_scene
-from servogen.derive.formulation import Quantity
-from servogen.derive.lower import lower_quantities
-from servogen.errors import SceneError
-from servogen.ir.program import Program
-from servogen.loading import load_simulation, scene_summary
-from servogen.optimise.passes import optimise
-from servogen.package import Package
-from servogen.report.equations import Equations, equations
+from servogen.loading import load_scene, load_simulation, scene_summary
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import draw_paper
-from servogen.report.sparsity import kinds, picture
-from servogen.results import STATUS_MEANING
-from servogen.scalars import EPSILON
-from servogen.scene.domain import domain_box, draw_states
-from servogen.scene.scene import Scene
+from servogen.report.scene_work import STAGES, Figure, Generated, Loop, LoopPrecision, Speed, Work, data_uri
+from servogen.report.stages import Missing, Stage, run_stages
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.export import write_csv
-from servogen.simulate.plots import write_plots
-from servogen.simulate.precision import Precision, draw_precision, measure
-from servogen.simulate.simulation import Simulation
-from servogen.simulate.trajectory import Trajectory, with_unit
-from servogen.verify.check import CheckReport, check
+from servogen.simulate.trajectory import Trajectory
+from servogen.verify.check import CheckReport
 
 Progress = Callable[[int, int, str], None]
-
-STATES_OF_A_BOX = 200
-"""States from which the domain of a scene that draws its own is read off."""
-
-
-@dataclass(frozen=True, eq=False)
-class Figure:
-    """A picture as the page holds it: a data URI and a caption."""
-
-    uri: str
-    caption: str
-
-
-@dataclass(frozen=True)
-class Symbol:
-    """A parameter or an input of the scene, in words."""
-
-    name: str
-    kind: str
-    values: str
-    unit: str
-    text: str
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, eq=False)
 class SceneReport:
-    """One scene: what was generated, and its figures. `folder` holds the files, relative to the page."""
+    """One scene: what its stages found, None for those that are missing. `folder` holds its files, relative to the
+    page."""
 
     name: str
     summary: str
-    scene: Scene
-    symbols: tuple[Symbol, ...]
-    manifests: dict[str, dict[str, Any]]  # by scalar
-    equations: Equations
-    patterns: tuple[tuple[str, str], ...]  # a matrix with its shape, and an SVG of what its entries are
-    mass: str
-    call: str
-    trajectory: Trajectory
-    off_decay: str  # how far the constraints were off their prescribed decay, and when
-    ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
-    decay_error: dict[str, float]
-    motion: tuple[Figure, ...]
-    bench: Bench
-    speed: Figure
-    precision: Figure
-    single: str  # what single precision costs in closed loop
     folder: str
+    generated: Generated | None
+    loop: Loop | None
+    check: CheckReport | None
+    board: CheckReport | None
+    speed: Speed | None
+    precision: LoopPrecision | None
+    missing: Mapping[str, Missing]  # by stage
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What a check found, or kept a stage from ending."""
+        found = [text for report in (self.check, self.board) if report is not None for text in report.problems]
+        return (*found, *(f"{self.name}: {m}" for m in self.missing.values() if m.kind == "failed"))
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """What is not on the page, and why."""
+        found = [text for report in (self.check, self.board) if report is not None for text in report.skipped]
+        return (*dict.fromkeys(found), *(f"{self.name}: {m}" for m in self.missing.values() if m.kind != "failed"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,169 +54,128 @@ class Report:
     """The page's content."""
 
     scenes: tuple[SceneReport, ...]
-    check: CheckReport
-    board: CheckReport | None
-    skipped: tuple[str, ...]
     paper: tuple[Figure, ...] = ()
+    remarks: tuple[str, ...] = ()  # what this machine lacks, and the paper's figures where they are missing
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return tuple(text for scene in self.scenes for text in scene.problems)
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        return (*self.remarks, *dict.fromkeys(text for scene in self.scenes for text in scene.skipped))
+
+    @property
+    def wrong_input(self) -> bool:
+        """Whether a scene itself was at fault."""
+        return any(m.wrong_input for scene in self.scenes for m in scene.missing.values())
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is asked of a report. folder: of the page; each scene's files go to folder/<scene>/.
+
+    states: of the cross-check; rounds: of the benchmark; peers: whether against whole rivals. without: stages to leave
+    out, and why. cap: seconds for each stage instead of its own.
+    """
+
+    folder: Path
+    states: int = 500
+    rounds: int = 10
+    peers: bool = False
+    without: tuple[tuple[str, str], ...] = ()
+    cap: float | None = None
 
 
 def collect(
     specs: Sequence[str],
-    folder: Path,
-    board: str | None,
-    states: int,
-    rounds: int,
-    skipped: Sequence[str],
-    progress: Progress,
-    peers: bool = False,
+    wishes: Wishes,
+    progress: Progress = lambda done, total, text: None,
+    interrupted: Event | None = None,
+    finished: Callable[[Report], None] = lambda report: None,
 ) -> Report:
-    """Run everything for scenes named as on the command line; their files go to folder/<scene>/.
+    """Run everything for scenes named as on the command line.
 
-    board: a target to repeat the cross-check on, or None. peers: bench against whole rivals.
+    finished: gets the report as it stands after each scene. interrupted: once set, the stage that runs ends, nothing
+    more is begun, and the report holds what was done. Raises SceneError where a scene cannot be loaded.
     """
-    loaded = [(spec, *load_simulation(spec)) for spec in specs]
-    steps = 4 * len(loaded) + 2 + (board is not None)
-    done = 0
+    interrupted = interrupted or Event()
+    names = {spec: load_scene(spec).name for spec in specs}
+    stages = [s for s in STAGES if s.method not in dict(wishes.without)]
+    paper = _PAPER if any(name in PAPER for name in names.values()) else ()
+    say = _steps(progress, len(stages) * len(specs) + len(paper))
+    report = Report((), remarks=tuple(dict.fromkeys(why for _, why in wishes.without)))
+    for spec, name in names.items():
+        own = wishes.folder / name
+        own.mkdir(parents=True, exist_ok=True)
+        work = Work(spec, own, wishes.states, wishes.rounds, wishes.peers)
+        found = run_stages(work.begin, _capped(stages, wishes.cap), partial(_say_of, say, name), interrupted)
+        report = replace(report, scenes=(*report.scenes, _scene_report(spec, name, found)))
+        finished(report)
+    if paper:
+        known = {s.name: s.loop.trajectory for s in report.scenes if s.loop is not None}
+        drawn = run_stages(_Paper(wishes.folder / "paper", known).begin, _capped(paper, wishes.cap), say, interrupted)
+        figures = drawn["draw"]
+        if isinstance(figures, Missing):
+            report = replace(report, remarks=(*report.remarks, str(figures)))
+        else:
+            report = replace(report, paper=figures)
+        finished(report)
+    return report
+
+
+def _say_of(say: Callable[[str], None], name: str, text: str) -> None:
+    say(f"{name}: {text}")
+
+
+def _scene_report(spec: str, name: str, found: Mapping[str, Any]) -> SceneReport:
+    def of(method: str, kind: type[_Result]) -> _Result | None:
+        result = found.get(method)
+        return result if isinstance(result, kind) else None
+
+    return SceneReport(
+        name=name,
+        summary=scene_summary(spec),
+        folder=name,
+        generated=of("generate", Generated),
+        loop=of("loop", Loop),
+        check=of("check", CheckReport),
+        board=of("board", CheckReport),
+        speed=of("speed", Speed),
+        precision=of("precision", LoopPrecision),
+        missing={method: m for method, m in found.items() if isinstance(m, Missing)},
+    )
+
+
+def _capped(stages: Sequence[Stage], cap: float | None) -> list[Stage]:
+    return [s if cap is None else replace(s, cap=cap) for s in stages]
+
+
+def _steps(progress: Progress, total: int) -> Callable[[str], None]:
+    """Counts what is begun."""
+    begun = 0
 
     def say(text: str) -> None:
-        nonlocal done
-        progress(done, steps, text)
-        done += 1
+        nonlocal begun
+        progress(begun, total, text)
+        begun += 1
 
-    scenes = [_scene_report(spec, scene, simulation, folder, rounds, peers, say) for spec, scene, simulation in loaded]
-    say("cross-check on this machine")
-    host = check([scene for _, scene, _ in loaded], states=states)
-    emulated = None
-    if board is not None:
-        say(f"cross-check on {board}")
-        emulated = check([scene for _, scene, _ in loaded], board, states)
-    paper: tuple[Figure, ...] = ()
-    if any(s.name in PAPER for s in scenes):
-        say("the paper's figures")
-        known = {s.name: s.trajectory for s in scenes}
-        drawn = draw_paper(folder / "paper", lambda name: known.get(name) or ClosedLoop(*load_simulation(name)).run())
-        paper = tuple(Figure(_data_uri(file), caption) for file, caption in drawn)
-    return Report(tuple(scenes), host, emulated, (*skipped, *host.skipped), paper)
+    return say
 
 
-def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
-    """The parameters with their defaults, and the inputs with what they are drawn from; the states' units are given."""
-
-    def numbers(values: Sequence[float]) -> str:
-        return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
-
-    rows = [Symbol(f.name, "parameter", numbers(f.default), f.unit, f.text) for f in scene.parameters]
-    for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_BOX)).items():
-        f = next(f for f in scene.input_fields() if f.name == name)
-        kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
-        unit = f.unit or units.get(name, "")
-        rows.append(Symbol(name, kind, f"{numbers(list(low))} to {numbers(list(high))}", unit, f.text))
-    return tuple(rows)
+_PAPER = (Stage("draw", "the paper's figures", 300),)
 
 
-def _scene_report(
-    spec: str,
-    scene: Scene,
-    simulation: Simulation,
-    folder: Path,
-    rounds: int,
-    peers: bool,
-    say: Callable[[str], None],
-) -> SceneReport:
-    own = folder / scene.name
-    say(f"{scene.name}: generate")
-    packages = {
-        "float64": build(scene, own / "f64", "float64"),
-        "float32": build(scene, own / "f32", "float32"),
-    }
-    say(f"{scene.name}: closed loop")
-    trajectory = ClosedLoop(scene, simulation).run()
-    if not len(trajectory.t):
-        why = STATUS_MEANING[trajectory.stop.status]
-        raise SceneError(f"{scene.name}: the {trajectory.stop.reason} refused the simulation's start: {why}")
-    write_csv(trajectory, own / "trajectory.csv")
-    pictures = [p for p in write_plots(scene, simulation, trajectory, own) if p.suffix == ".png"]
-    say(f"{scene.name}: run time against error")
-    measured = bench_peers(spec, rounds=rounds) if peers else bench(scene, rounds=rounds)
-    drawn = next(p for p in draw(measured, own) if p.suffix == ".png")
-    say(f"{scene.name}: step size, method and scalar against error")
-    duration = min(2.0, 0.5 * trajectory.stop.t)
-    steps = [duration / n for n in (20, 40, 80, 160, 320, 640, 1280)]
-    points = measure(scene, simulation, duration, steps)
-    precision = draw_precision(scene.name, duration, points, own / "precision")
-    formulation, optimised = optimised_scene(scene)
-    return SceneReport(
-        name=scene.name,
-        summary=scene_summary(spec),
-        symbols=_symbols(scene, simulation.units),
-        scene=scene,
-        manifests={scalar: package.manifest for scalar, package in packages.items()},
-        equations=equations(scene, formulation, packages["float64"].module),
-        patterns=_patterns(scene, optimised.program),
-        mass=formulation.mass.reason,
-        call=_call(packages["float64"]),
-        trajectory=trajectory,
-        off_decay=trajectory.off_decay(simulation.units.get(trajectory.constraint_name)),
-        ending=_ending(trajectory, simulation),
-        decay_error=trajectory.decay_error,
-        motion=tuple(Figure(_data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
-        bench=measured,
-        speed=Figure(_data_uri(drawn), f"{scene.name}: run time against error"),
-        precision=Figure(_data_uri(precision), f"{scene.name}: closed loop, run time against error"),
-        single=_single(points, duration),
-        folder=scene.name,
-    )
+@dataclass(frozen=True, eq=False)
+class _Paper:
+    """The paper's figures, from runs that are known and others made for them."""
 
+    folder: Path
+    known: Mapping[str, Trajectory]
 
-def _patterns(scene: Scene, program: Program) -> tuple[tuple[str, str], ...]:
-    """Q as the user wrote it, zeros that cancel found; the matrix of the system (and J) as optimised."""
-    model = optimise(lower_quantities(scene, [Quantity("Q", scene.mechanism.Q, "", "")]))
-    names = dict.fromkeys((scene.system.matrix, scene.system.reach))
-    found = [(model, "Q"), *((program, name) for name in names)]
-    shown = ((name, kinds(p, name)) for p, name in found)
-    return tuple((f"{name}, {len(rows)}×{len(rows[0])}", picture(name, rows)) for name, rows in shown)
+    def begin(self) -> "_Paper":
+        return self
 
-
-def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], ...]:
-    """Each margin in words: the reason first, then the numbers a reader wants beside it."""
-    units = simulation.units
-    last, largest = (with_unit(float(np.max(np.abs(x))), units.get("tau")) for x in (run.tau[-1], run.tau))
-    rows = [
-        ("why the run ended", str(run.stop)),
-        ("smallest singular value", f"{run.sigma_min[-1]:.3g} at the end, never below {np.min(run.sigma_min):.3g}"),
-        ("largest control", f"{last} at the end, never above {largest}"),
-        ("rank", f"{run.rank[-1]} at the end, never below {np.min(run.rank)}"),
-    ]
-    for name, v in run.outputs.items():
-        last, first = (with_unit(float(x), units.get(name), 4) for x in (v[-1], v[0]))
-        rows.append((name, f"{last} at the end, {first} at the start"))
-    watched = ", ".join(simulation.events)
-    return (*rows, ("what would have ended it", watched or "nothing but the time"))
-
-
-def _single(points: Sequence[Precision], duration: float) -> str:
-    """The best of all step sizes and methods, in either scalar."""
-    best = {scalar: [p.error for p in points if p.scalar == scalar] for scalar in EPSILON}
-    if not all(best.values()):
-        return "In one of the two scalars no run came to its end."
-    double, single = min(best["float64"]), min(best["float32"])
-    return (
-        f"At best, whatever the step, q and u are off by {double:.2g} in float64 and by {single:.2g} in float32 after "
-        f"{duration:.3g} s. Where the curve of float32 turns back, smaller steps only add rounding."
-    )
-
-
-def _call(package: Package) -> str:
-    """The statements of the control function's own code, as generated."""
-    text = (package.path / f"{package.prefix}.c").read_text()
-    kernel = package.module.control.name if package.module.control else ""
-    found = re.search(rf"^static (?:\w+ )?void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
-    return found.group(0) if found else ""
-
-
-def _data_uri(path: Path) -> str:
-    """A PNG in a palette of 128 colours: a third of its bytes, and no difference to see in line drawings."""
-    small = io.BytesIO()
-    with Image.open(path) as drawn:
-        drawn.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
+    def draw(self) -> tuple[Figure, ...]:
+        drawn = draw_paper(self.folder, lambda n: self.known.get(n) or ClosedLoop(*load_simulation(n)).run())
+        return tuple(Figure(data_uri(file), caption) for file, caption in drawn)

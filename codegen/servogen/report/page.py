@@ -1,21 +1,30 @@
 """The page itself, from a template; no network, one file."""
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from servogen.bench.results import Bench, Measurement, Output
 from servogen.plan.module import mix_of
-from servogen.report.collect import Report
+from servogen.report.collect import Report, SceneReport
 from servogen.report.sparsity import COLOURS, WORDS
 from servogen.report.templates import pages
 from servogen.results import Status
 from servogen.verify.answers import BAR
-from servogen.verify.check import OutputCheck
+from servogen.verify.check import CheckReport, OutputCheck
 from servogen.version import VERSION
+
+
+def write_page(report: Report, file: Path) -> None:
+    """Writes the page in one step, so that a reader never finds half of it."""
+    half = file.with_suffix(".part")
+    half.write_text(render_page(report), encoding="utf-8")
+    half.replace(file)
 
 
 def render_page(report: Report) -> str:
     """The HTML of a report."""
-    pages().filters["figure"] = _figure
+    pages().filters.update(figure=_figure, ulps=_ulps)
     return (
         pages()
         .get_template("report.html.j2")
@@ -24,7 +33,7 @@ def render_page(report: Report) -> str:
             version=VERSION,
             bar=BAR,
             mix=mix_of,
-            summary=_summary(report),
+            cards=_cards,
             checks=_checks,
             histogram=_histogram,
             bench_rows=_bench_rows,
@@ -40,34 +49,52 @@ def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def _summary(report: Report) -> list[tuple[str, str, str, bool]]:
-    """(what, figure, in a word, good) for the top of the page."""
-    check = report.check
+def _ulps(value: float | None) -> str:
+    """An error in ulps; what no reader needs to tell from none is 0."""
+    return _figure(0.0 if value is not None and value < 1e-3 else value)
+
+
+@dataclass(frozen=True)
+class Card:
+    """One answer at the top of a scene: what is judged, the judgement in a word, whether it is good, and a sentence."""
+
+    what: str
+    word: str
+    good: bool
+    text: str
+
+
+def _cards(scene: SceneReport) -> list[Card]:
+    """The judgements of a scene: its loop, then its generated code."""
+    cards = []
+    if scene.loop is not None:
+        verdict = scene.loop.trajectory.verdict
+        cards.append(Card("The closed loop", verdict.word, verdict.held, f"{verdict.reason} {verdict.advice}".rstrip()))
+    if scene.check is not None:
+        reports = [r for r in (scene.check, scene.board) if r is not None]
+        good = all(r.passed for r in reports)
+        text = _accuracy(scene.check) + ("" if scene.board is None else _sameness(scene.board))
+        cards.append(Card("The generated code", "right" if good else "wrong", good, text))
+    return cards
+
+
+def _accuracy(check: CheckReport) -> str:
+    values = sum(o.compared for o in check.outputs)
     worst = max((o.max_ulps for o in check.outputs), default=float("nan"))
     solve = max((s.max_error for s in check.solves), default=float("nan"))
-    rows = [
-        (
-            "Generated C against the 50-digit truth",
-            f"{sum(o.compared for o in check.outputs):,} values, largest error {worst:.3g} ulps of its output's scale",
-            check.passed,
-        ),
-        (
-            "tau against the exact solution of its system",
-            f"{solve:.3g} of at most {BAR:g} u κ (‖τ‖ + ‖y‖), u the unit roundoff, κ the condition of S",
-            solve <= BAR,
-        ),
-    ]
-    if report.board is not None:
-        different = sum(d.different for d in report.board.differences)
-        largest = max((d.max_ulps for d in report.board.differences), default=0.0)
-        values = sum(d.compared for d in report.board.differences)
-        text = f"{values:,} values, {different:,} not bit-equal, largest difference {largest:.3g} ulps"
-        rows.append(("The same vectors on an emulated Cortex-M4F", text, report.board.passed))
-    verdicts = [(s.name, s.trajectory.verdict) for s in report.scenes]
-    return [
-        *((what, text, "passed" if good else "failed", good) for what, text, good in rows),
-        *((f"{name} in closed loop", f"{v.reason} {v.advice}", v.word, v.held) for name, v in verdicts),
-    ]
+    return (
+        f"{values:,} values against the 50-digit truth, the largest error {_ulps(worst)} ulps; tau against exact "
+        f"solutions {_figure(solve)} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)."
+    )
+
+
+def _sameness(board: CheckReport) -> str:
+    values = sum(d.compared for d in board.differences)
+    different = sum(d.different for d in board.differences)
+    if not different:
+        return f" On an emulated Cortex-M4F the same bits, {values:,} values."
+    largest = max(d.max_ulps for d in board.differences)
+    return f" On an emulated Cortex-M4F {different:,} of {values:,} values differ, by up to {_ulps(largest)} ulps."
 
 
 def _histogram(check: OutputCheck) -> str:
@@ -78,12 +105,12 @@ def _histogram(check: OutputCheck) -> str:
     return " ".join("0" if s == 0 else "<0.1 %" if s < 0.1 else f"{s:.3g} %" for s in shares)
 
 
-def _checks(report: Report, scene: str) -> list[OutputCheck]:
+def _checks(check: CheckReport) -> list[OutputCheck]:
     """One row per output and scalar; compilers that agree to the bit are one."""
     rows: dict[tuple[str, str, str], OutputCheck] = {}
-    for o in report.check.outputs:
+    for o in check.outputs:
         key = (o.scalar, o.entry, o.output)
-        if o.scene == scene and (key not in rows or o.max_ulps > rows[key].max_ulps):
+        if key not in rows or o.max_ulps > rows[key].max_ulps:
             rows[key] = o
     return list(rows.values())
 

@@ -5,11 +5,11 @@ import math
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from threading import Event, current_thread, main_thread
 
+from servogen.interrupt import interrupt_kept
 from servogen.scalars import Scalar
 from servogen.tools import find_tool
 from servogen.verify.fuzz import Fuzzed, fuzz, require_fuzzer, targets
@@ -110,7 +110,7 @@ def _run_all(
         return
     with (
         nullcontext(executor) if executor is not None else ProcessPoolExecutor(jobs, initializer=_deaf) as pool,
-        _interrupt_kept() as interrupted,
+        interrupt_kept() as interrupted,
     ):
         left = iter(work)
         at_once = 2 * jobs if executor is None else len(work)  # nobody knows how many an executor of others runs
@@ -131,20 +131,6 @@ def _run_all(
                 if not future.cancel() and future.exception() is None:
                     keep(task, future.result())
             raise
-
-
-@contextmanager
-def _interrupt_kept() -> Iterator[Event]:
-    """Ctrl-C sets the event instead of stopping the executor's own code half-way: its locks would stay taken."""
-    interrupted = Event()
-    if current_thread() is not main_thread():  # only there do signals arrive
-        yield interrupted
-        return
-    before = signal.signal(signal.SIGINT, lambda number, frame: interrupted.set())
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _deaf() -> None:
