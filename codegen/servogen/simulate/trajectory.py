@@ -110,14 +110,14 @@ class Trajectory:
     @property
     def psi(self) -> FloatArray:
         """psi (N, m) of a servo scene."""
-        if self.kind == "controls":
+        if self.constraint_name == "phi":
             raise AttributeError(f"scene {self.scene!r} has no psi: it is a controls scene; see phi")
         return self.constraint
 
     @property
     def phi(self) -> FloatArray:
         """phi (N, m) of a controls-involved scene."""
-        if self.kind != "controls":
+        if self.constraint_name == "psi":
             raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
         return self.constraint
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servogen.law.law import shapes
 from servogen.plan.module import Module, Result, StructField
 from servogen.results import Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
@@ -161,10 +162,10 @@ class CompiledTwin(Twin):
 
     def evaluate(self, entry: str, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, ...]]:
         """Call an entry point by its C name: its status and outputs, NaN where untouched."""
-        results = self._results(entry)
+        function, results = self._function(entry), self._results(entry)
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
-        status = Status(self._function(entry)(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
+        status = Status(function(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
         shaped = (
             o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
             for o, r in zip(outputs, results, strict=True)
@@ -172,11 +173,12 @@ class CompiledTwin(Twin):
         return status, tuple(shaped)
 
     def _results(self, entry: str) -> tuple[Result, ...]:
-        """What an entry point hands out, by name and shape."""
-        if entry == "R":
-            rows = self.scene.system_shape[0]
-            return (Result("R", rows, 1, "Eq. (17)", "J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)"),)
-        return self._entries[entry].kernel.results
+        """What an entry point hands out, by name and shape: quantities, or the result of a routine of the law."""
+        if entry in self._entries:
+            return self._entries[entry].kernel.results
+        law = self._module.law
+        name = law.routine(entry).result
+        return (Result(name, *shapes(law)[name], "", ""),)
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         return self.evaluate(name, inputs)[1][0]
