@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.cli.main import main
+from click.testing import CliRunner
+from servogen.cli.main import cli
 from servogen.compiler import optimised_scene
 from servogen.law.law import offered
 from servogen.render.unused import without_unused
@@ -67,15 +68,16 @@ def test_wrong_names_are_told(tmp_path: Path) -> None:
         sg.build(scene, tmp_path, entry_points=["S"], casadi_abi=True)
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     arguments = ["generate", "double_pendulum_energy", "--out", str(tmp_path), "--entry-points"]
-    assert main([*arguments, "S, z"]) == 0
+    done = CliRunner().invoke(cli, [*arguments, "S, z"])
+    assert done.exit_code == 0, done.output
     text = (tmp_path / "double_pendulum_energy.h").read_text()
     assert "double_pendulum_energy_S(" in text
     assert "double_pendulum_energy_control(" not in text
-    capsys.readouterr()
-    assert main([*arguments, "S,tau"]) == 2
-    assert "'tau' is no function of this scene" in " ".join(capsys.readouterr().err.split())
+    refused = CliRunner().invoke(cli, [*arguments, "S,tau"]).exception
+    assert isinstance(refused, sg.SceneError)
+    assert "'tau' is no function of this scene" in str(refused)
 
 
 def test_only_what_nothing_names_is_left_out() -> None:
