@@ -87,7 +87,7 @@ def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[P
 def _title(trajectory: Trajectory) -> str:
     way = f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
     if trajectory.hold:
-        way = f"tau held for {trajectory.step:g} s"
+        way = f"tau held for {trajectory.hold:g} s"
     return f"{trajectory.scene}: generated C in closed loop, {way}"
 
 
