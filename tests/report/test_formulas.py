@@ -44,6 +44,9 @@ def read(element: Any, values: dict[str, float]) -> str:
         return f"({parts[0]})**0.5"
     if element.tag == "msup":
         return f"{parts[0]}^{parts[1]}" if parts[0] in FUNCTIONS else f"(({parts[0]})**({parts[1]}))"
+    if element.tag == "msubsup":
+        base, index, power = (ET.tostring(child, encoding="unicode") for child in element)
+        return f"(({values[f'<msub>{base}{index}</msub>']!r})**({power.removeprefix('<mn>').removesuffix('</mn>')}))"
     assert element.tag == "mrow", text
     return _row([p for p in parts if p])
 
@@ -108,6 +111,42 @@ def test_signs_powers_and_brackets() -> None:
             "odd", [(Input(n, 1), s) for n, s in zip("abc", (a, b, c), strict=True)], [("y", ca.vertcat(*odd))]
         )
     )
+
+
+def as_text(element: Any) -> str:
+    """MathML as one would type it."""
+    parts = [as_text(child) for child in element]
+    match element.tag:
+        case "mfrac":
+            return f"({parts[0]})/({parts[1]})"
+        case "msub":
+            return "_".join(parts)
+        case "msup" | "msubsup":
+            return "_".join(parts[:-1]) + "^" + parts[-1]
+        case "mspace":
+            return " "
+    return "".join(parts) or str(element.text)
+
+
+def test_it_is_written_as_a_person_would() -> None:
+    m, v, w, x = (ca.SX.sym(n) for n in ("m_B", "omega_0", "omega_1", "x"))
+    wanted = {
+        0.5 * (m * v**2 + x): "(1)/(2) m_B ω_0^2+(x)/(2)",
+        v * m * w / 2 + w * v * m / 2: "m_B ω_0 ω_1",
+        x - (-v): "x+ω_0",
+        -(v - x) * m: "−m_B (ω_0−x)",
+        (m * x * v) / (x * w): "(m_B ω_0)/(ω_1)",
+        2 * x - x - x: "0",
+        ca.sin(x) ** 2 * x * m: "m_B x sin^2 x",
+        ca.power(v, 3) * 0.25: "(ω_0^3)/(4)",
+        3 * (v + 2 * w): "3 (ω_0+2 ω_1)",
+        -x: "−x",
+        1 * x + 0 * v: "x",
+    }
+    inputs = [(Input(s.name(), 1), s) for s in (m, v, w, x)]
+    shown = formulas(lower_expressions("p", inputs, [(f"y{k}", e) for k, e in enumerate(wanted)]), lambda name, _: name)
+    written = [as_text(ET.fromstring(line)).partition("=")[2] for line in shown.lines]
+    assert written == list(wanted.values())
 
 
 def test_what_nobody_reads_is_counted() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from servogen.loading import load_simulation
-from servogen.report.paper import SCENES, draw_paper, sheets
+from servogen.report.paper import SCENES, draw_paper, narrow_figures, sheets
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 
@@ -42,14 +42,16 @@ def test_curves_are_what_the_paper_shows(runs: dict[str, Trajectory]) -> None:
 
 
 def test_the_sheets_are_drawn(runs: dict[str, Trajectory], tmp_path: Path) -> None:
-    drawn = draw_paper(tmp_path, runs.__getitem__)
-    assert [file.name for file, _ in drawn] == [
+    found = sheets(runs)
+    drawn = draw_paper(found, tmp_path)
+    assert [file.name for file in drawn] == [
         "paper_figures_2_to_5.png", "paper_figures_6_to_12.png", "paper_figures_13_to_21.png",
     ]  # fmt: skip
-    assert all(file.stat().st_size > 20_000 and file.with_suffix(".svg").exists() for file, _ in drawn)
-    assert "neither masses, lengths nor the start" in drawn[0][1]
+    assert all(file.stat().st_size > 20_000 and file.with_suffix(".svg").exists() for file in drawn)
+    assert "neither masses, lengths nor the start" in found[0].caption
     for number in ("m_B = 1", "L = 1.2", "q(0) = (1.6, -1.8)"):  # chosen, so said
-        assert number in drawn[0][1]
-    for caption in (drawn[1][1], drawn[2][1]):  # the paper's own
+        assert number in found[0].caption
+    for caption in (found[1].caption, found[2].caption):  # the paper's own
         assert "I_1 = 10, I_2 = 6.3, I_3 = 8.5, a = 1" in caption
         assert "u(0) = (0.1, 0.1, 0.1), tau(0) = (0.09998" in caption  # as printed, projected onto phi = 0
+    assert [number for sheet in found for number in narrow_figures(sheet)] == list(range(2, 22))

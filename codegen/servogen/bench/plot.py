@@ -1,6 +1,7 @@
 """Run time against error: a panel an output, a marker a contender, and the line of those that nobody beats in both."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,20 @@ from servogen.bench.results import Bench, Measurement, Output
 
 OURS, THEIRS, PARETO = "#b3261e", "#3b5b7a", "#8a8a8a"
 _DASHES = {"float64": "o", "float32": "s"}
-_LABEL_HEIGHT = 0.052  # of a panel's height, between neighbouring labels
-_LABEL_GAP, _LETTER = 0.045, 0.0135  # of a panel's width: from a marker to its label, and a letter of one
+
+
+@dataclass(frozen=True)
+class _Room:
+    """What labels take: their font in points; of a panel's height, what lies between neighbours; of its width, the gap
+    from a marker to its label, and a letter."""
+
+    font: float
+    height: float
+    gap: float
+    letter: float
+
+
+_WIDE, _NARROW = _Room(8.5, 0.052, 0.045, 0.0135), _Room(8, 0.058, 0.05, 0.0185)
 
 
 def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
@@ -29,6 +42,22 @@ def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
     return paths
 
 
+def narrow_figures(bench: Bench) -> dict[Output, Figure]:
+    """A figure an output, as wide as a telephone's screen."""
+    found = {}
+    for output in _outputs(bench):
+        with matplotlib.rc_context({"font.size": 9}):
+            figure = Figure(figsize=(4.0, 4.0))
+            FigureCanvasAgg(figure)
+            axes = figure.subplots()
+            figure.subplots_adjust(left=0.15, right=0.99, top=0.99, bottom=0.12)
+            _panel(axes, bench, output, _NARROW)
+            axes.set_title("", loc="left")
+            axes.set_ylabel("largest error, of the largest magnitude")
+            found[output] = figure
+    return found
+
+
 def pareto(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Those points of (time, error) that no other beats in one without losing in the other, by rising time."""
     line: list[tuple[float, float]] = []
@@ -39,7 +68,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _figure(bench: Bench) -> Figure:
-    outputs = [o for o in Output if any(m.output is o for m in bench.measurements)]
+    outputs = _outputs(bench)
     columns = min(2, len(outputs))  # no more, or a page shows them too small to read
     rows_of_panels = -(-len(outputs) // columns)
     width, height = 5.4 * columns + 0.6, 5.2 * rows_of_panels + 1.0
@@ -49,22 +78,31 @@ def _figure(bench: Bench) -> Figure:
     panels = grid.ravel()[: len(outputs)]
     for spare in grid.ravel()[len(outputs) :]:
         spare.remove()
-    low, high = _limits(bench.measurements)
     for axes, output in zip(panels, outputs, strict=True):
-        rows = [m for m in bench.measurements if m.output is output and not m.aside]
-        _axes(axes, bench, output)
-        axes.set_xlim(*_time_limits(bench.measurements))
-        axes.set_ylim(low, high)
-        _markers(axes, rows, high)
+        _panel(axes, bench, output, _WIDE)
     for first in grid[:, 0]:
         first.set_ylabel("largest error, as a part of the output's largest magnitude")
-    title = f"{bench.scene}: run time against error"
-    figure.suptitle(title, x=0.012, y=1 - 0.1 / height, ha="left", fontsize=14, weight="bold")
+    figure.suptitle(
+        f"{bench.scene}: run time against error", x=0.012, y=1 - 0.1 / height, ha="left", fontsize=14, weight="bold"
+    )
     figure.text(0.012, 1 - 0.38 / height, _caption(bench), ha="left", va="top", fontsize=9.5, color="#444444")
     figure.subplots_adjust(
         left=0.7 / width, right=1 - 0.1 / width, top=1 - 0.95 / height, bottom=0.6 / height, wspace=0.04, hspace=0.16
     )
     return figure
+
+
+def _outputs(bench: Bench) -> list[Output]:
+    return [o for o in Output if any(m.output is o for m in bench.measurements)]
+
+
+def _panel(axes: Any, bench: Bench, output: Output, room: _Room) -> None:
+    rows = [m for m in bench.measurements if m.output is output and not m.aside]
+    low, high = _limits(bench.measurements)
+    _axes(axes, bench, output, named=room is _WIDE)
+    axes.set_xlim(*_time_limits(bench.measurements))
+    axes.set_ylim(low, high)
+    _markers(axes, rows, high, room)
 
 
 def _caption(bench: Bench) -> str:
@@ -82,10 +120,11 @@ class _TimeFormatter(LogFormatter):
         return _time(x) if super().__call__(x, pos) else ""
 
 
-def _axes(axes: Any, bench: Bench, output: Output) -> None:
+def _axes(axes: Any, bench: Bench, output: Output, named: bool) -> None:
+    """named: whether the lines of the two epsilons say so."""
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_title(_title(bench, output), loc="left", fontsize=11)
+    axes.set_title(title(bench, output), loc="left", fontsize=11)
     axes.set_xlabel("time per call")
     axes.xaxis.set_major_formatter(_TimeFormatter())
     axes.xaxis.set_minor_formatter(_TimeFormatter(labelOnlyBase=False, minor_thresholds=(1, 0.4)))
@@ -96,13 +135,16 @@ def _axes(axes: Any, bench: Bench, output: Output) -> None:
         axes.spines[side].set_visible(False)
     for epsilon, name in ((2.0**-52, "double"), (2.0**-23, "float")):
         axes.axhline(epsilon, color="#bbbbbb", linewidth=0.8, linestyle=":")
+        if not named:
+            continue
         axes.annotate(
             f"epsilon of {name}", (0.995, epsilon), xycoords=("axes fraction", "data"), xytext=(0, 2),
             textcoords="offset points", ha="right", va="bottom", fontsize=7.5, color="#888888",
         )  # fmt: skip
 
 
-def _title(bench: Bench, output: Output) -> str:
+def title(bench: Bench, output: Output) -> str:
+    """What an output is, in words."""
     words = {
         Output.MATRIX: "the constraints' matrix",
         Output.RIGHT: "the right side",
@@ -113,7 +155,7 @@ def _title(bench: Bench, output: Output) -> str:
     return f"{label}: {words[output]}"
 
 
-def _markers(axes: Any, rows: Sequence[Measurement], top: float) -> None:
+def _markers(axes: Any, rows: Sequence[Measurement], top: float, room: _Room) -> None:
     """Markers, the line of those that nobody beats in both, and labels; what leaves the axis stands at its edge."""
     points = [(m.times.median, m.errors.largest_relative) for m in rows]
     bottom = axes.get_ylim()[0]
@@ -123,33 +165,33 @@ def _markers(axes: Any, rows: Sequence[Measurement], top: float) -> None:
     for m, (x, y) in zip(rows, placed, strict=True):
         colour = OURS if m.ours else THEIRS
         axes.plot([x], [y], _DASHES[m.scalar], color=colour, markersize=8 if m.ours else 7, zorder=4)
-    _labels(axes, rows, placed)
+    _labels(axes, rows, placed, room)
 
 
-def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float, float]]) -> None:
+def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float, float]], room: _Room) -> None:
     """Beside the markers, where need be moved up or down and joined to them by a line."""
     to_panel = axes.transScale + axes.transLimits
     spots = [tuple(to_panel.transform(p)) for p in placed]
-    heights = _spread(spots)
+    heights = _spread(spots, room.height)
     for m, (x, y), height in zip(rows, spots, heights, strict=True):
         text, colour = _label(m), OURS if m.ours else THEIRS
-        spot, side = _beside((x, height), _LETTER * len(text))
+        spot, side = _beside((x, height), room.letter * len(text), room)
         axes.annotate(
             text, (x, y), xycoords="axes fraction", xytext=spot, textcoords="axes fraction", ha=side, va="center",
-            fontsize=8.5, color=colour, path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            fontsize=room.font, color=colour, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             weight="bold" if m.ours else "normal",
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1, "shrinkB": 4},
         )  # fmt: skip
 
 
-def _beside(spot: tuple[float, float], width: float) -> tuple[tuple[float, float], str]:
+def _beside(spot: tuple[float, float], width: float, room: _Room) -> tuple[tuple[float, float], str]:
     """Where a label of that width goes, and its side that is there: right of the spot, left, or above it."""
     x, y = spot
-    if x + _LABEL_GAP + width <= 1:
-        return (x + _LABEL_GAP, y), "left"
-    if x - _LABEL_GAP - width >= 0:
-        return (x - _LABEL_GAP, y), "right"
-    return (min(max(x, width / 2), 1 - width / 2), y + _LABEL_HEIGHT), "center"
+    if x + room.gap + width <= 1:
+        return (x + room.gap, y), "left"
+    if x - room.gap - width >= 0:
+        return (x - room.gap, y), "right"
+    return (min(max(x, width / 2), 1 - width / 2), y + room.height), "center"
 
 
 def _label(m: Measurement) -> str:
@@ -170,34 +212,34 @@ def _time(nanoseconds: float) -> str:
     return f"{nanoseconds / unit:.3g} {name}"
 
 
-def _spread(spots: Sequence[tuple[float, float]]) -> list[float]:
+def _spread(spots: Sequence[tuple[float, float]], apart: float) -> list[float]:
     """Heights of the labels: each at its marker's, then pushed apart, group by group."""
     heights = [y for _, y in spots]
     groups: list[list[int]] = []
     for k in sorted(range(len(spots)), key=lambda k: (spots[k][1], k)):
         groups.append([k])
-        while len(groups) > 1 and _bottom(groups[-1], spots) < _top(groups[-2], spots):
+        while len(groups) > 1 and _bottom(groups[-1], spots, apart) < _top(groups[-2], spots, apart):
             groups[-2:] = [groups[-2] + groups[-1]]
     for group in groups:
-        for k, height in zip(group, _stack(group, spots), strict=True):
+        for k, height in zip(group, _stack(group, spots, apart), strict=True):
             heights[k] = height
     return heights
 
 
-def _stack(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> list[float]:
+def _stack(group: Sequence[int], spots: Sequence[tuple[float, float]], apart: float) -> list[float]:
     """Evenly spaced around the group's centre, within the panel."""
-    span = (len(group) - 1) * _LABEL_HEIGHT
+    span = (len(group) - 1) * apart
     centre = sum(spots[k][1] for k in group) / len(group)
     start = min(max(centre - span / 2, 0.03), 0.97 - span)
-    return [start + i * _LABEL_HEIGHT for i in range(len(group))]
+    return [start + i * apart for i in range(len(group))]
 
 
-def _bottom(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> float:
-    return _stack(group, spots)[0] - _LABEL_HEIGHT / 2
+def _bottom(group: Sequence[int], spots: Sequence[tuple[float, float]], apart: float) -> float:
+    return _stack(group, spots, apart)[0] - apart / 2
 
 
-def _top(group: Sequence[int], spots: Sequence[tuple[float, float]]) -> float:
-    return _stack(group, spots)[-1] + _LABEL_HEIGHT / 2
+def _top(group: Sequence[int], spots: Sequence[tuple[float, float]], apart: float) -> float:
+    return _stack(group, spots, apart)[-1] + apart / 2
 
 
 def _limits(rows: Sequence[Measurement]) -> tuple[float, float]:

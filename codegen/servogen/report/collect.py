@@ -7,12 +7,12 @@ from pathlib import Path
 from threading import Event
 from typing import Any, TypeVar
 
-from servogen.loading import load_scene, load_simulation, scene_summary
+from servogen.loading import load_scene, scene_summary
+from servogen.report.inline import inline_svg
 from servogen.report.paper import SCENES as PAPER
-from servogen.report.paper import draw_paper
-from servogen.report.scene_work import STAGES, Figure, Generated, Loop, LoopPrecision, Speed, Work, data_uri
+from servogen.report.paper import TITLES, Sheet, draw_paper, narrow_figures, run_paper, sheets
+from servogen.report.scene_work import STAGES, Figure, Generated, Loop, LoopPrecision, Speed, Work
 from servogen.report.stages import Missing, Stage, run_stages
-from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 from servogen.verify.check import CheckReport
 
@@ -49,12 +49,20 @@ class SceneReport:
         return (*dict.fromkeys(found), *(f"{self.name}: {m}" for m in self.missing.values() if m.kind != "failed"))
 
 
+@dataclass(frozen=True)
+class PaperSheet:
+    """Some of the paper's figures, and what they reproduce."""
+
+    caption: str
+    figures: tuple[Figure, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """The page's content."""
 
     scenes: tuple[SceneReport, ...]
-    paper: tuple[Figure, ...] = ()
+    paper: tuple[PaperSheet, ...] = ()
     remarks: tuple[str, ...] = ()  # what this machine lacks, and the paper's figures where they are missing
 
     @property
@@ -176,6 +184,14 @@ class _Paper:
     def begin(self) -> "_Paper":
         return self
 
-    def draw(self) -> tuple[Figure, ...]:
-        drawn = draw_paper(self.folder, lambda n: self.known.get(n) or ClosedLoop(*load_simulation(n)).run())
-        return tuple(Figure(data_uri(file), caption) for file, caption in drawn)
+    def draw(self) -> tuple[PaperSheet, ...]:
+        found = sheets(run_paper(self.known))
+        draw_paper(found, self.folder)
+        return tuple(PaperSheet(sheet.caption, self._figures(sheet)) for sheet in found)
+
+    def _figures(self, sheet: Sheet) -> tuple[Figure, ...]:
+        captions = {number: f"Figure {number}: {TITLES[number]}" for number in TITLES}
+        return tuple(
+            Figure(inline_svg(figure, captions[number], f"paper-{number}"), captions[number])
+            for number, figure in narrow_figures(sheet).items()
+        )

@@ -44,19 +44,20 @@ def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
     motion = "q' = " + ("C u" if mech.C is not None else "u") + (" + D" if mech.D is not None else "")
     names = [n for n in ("C", "D", "Q", "P", "G") if getattr(mech, n) is not None]
     first = math(formula(motion), mo(","), tag("mspace", width="2em"), formula("Q u' = P + G tau"))
-    model = _formulas([(n, getattr(mech, n)) for n in names])
+    symbols = _in_order(scene)
+    model = _formulas([(n, getattr(mech, n)) for n in names], symbols)
     parts = [("The mechanism", Formulas(model.operations, model.definitions, (first, *model.lines)))]
     for c in scene.constraints:
         psi = "phi" if isinstance(c, ControlsInvolved) else "psi"
-        shown = _formulas([(psi, expression_of(c)), *theta_parts(c).items()])
+        shown = _formulas([(psi, expression_of(c)), *theta_parts(c).items()], symbols)
         lines = (_wish(c), *shown.lines)
         parts.append((f"{c.name}, {_KINDS[type(c)]}", Formulas(shown.operations, shown.definitions, lines)))
     if isinstance(scene.y, ca.SX):
-        parts.append(("The free vector", _formulas([("y", scene.y)])))
+        parts.append(("The free vector", _formulas([("y", scene.y)], symbols)))
     if scene.weighs_by_inverse_mass:
         parts.append(("The weight", Formulas(0, (), (math(formula("W = Q^-1")),))))
     elif scene.weight is not None:
-        parts.append(("The weight", _formulas([("W", scene.weight)])))
+        parts.append(("The weight", _formulas([("W", scene.weight)], symbols)))
     return tuple(parts)
 
 
@@ -143,9 +144,17 @@ def _names(scene: Scene) -> Any:
     return name
 
 
-def _formulas(named: Sequence[tuple[str, Any]]) -> Formulas:
-    """SX matrices as the user wrote them, repeated terms once."""
-    used = ca.symvar(ca.vertcat(*(ca.vec(ca.densify(e)) for _, e in named)))
-    inputs = [(Input(f"s{k}", 1), s) for k, s in enumerate(used)]
+def _in_order(scene: Scene) -> list[Any]:
+    """The scene's symbols as one writes them in a product: parameters, references, coordinates, rates, controls."""
+    mech = scene.mechanism
+    own = [f.symbol for f in (*(scene.parameters or ()), *(scene.references or ()))]
+    return [s for x in (*own, mech.q, mech.u, mech.tau) for s in x.nonzeros()]
+
+
+def _formulas(named: Sequence[tuple[str, Any]], symbols: Sequence[Any]) -> Formulas:
+    """SX matrices as the user wrote them, repeated terms once; symbols: in the order of a product's factors."""
+    used = {s.__hash__(): s for s in ca.symvar(ca.vertcat(*(ca.vec(ca.densify(e)) for _, e in named)))}
+    ordered = [s for s in symbols if used.pop(s.__hash__(), None) is not None] + list(used.values())
+    inputs = [(Input(f"s{k}", 1), s) for k, s in enumerate(ordered)]
     program = merge(lower_expressions("written", inputs, list(named)))
-    return formulas(program, lambda field, _: used[int(field[1:])].name())
+    return formulas(program, lambda field, _: ordered[int(field[1:])].name())

@@ -2,8 +2,9 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 from servogen.ir.program import Output, Program, live
 from servogen.report.mathml import bracketed, math, matrix, mi, mn, mo, row, symbol, tag
@@ -23,6 +24,15 @@ _WORDS = {"fmin": "min", "fmax": "max", "fabs": "abs", "log": "ln", "if_else_zer
 _SIGNS = {"lt": "<", "le": "≤", "eq": "=", "ne": "≠", "and": "∧", "or": "∨"}
 
 Text = tuple[str, int]  # MathML, and how tightly it binds
+
+
+@dataclass(frozen=True)
+class Term:
+    """number * product(above) / product(below); nodes with their powers."""
+
+    number: Fraction
+    above: Counter[int]
+    below: Counter[int]
 
 
 @dataclass(frozen=True)
@@ -68,6 +78,8 @@ class _Writer:
         self._outputs = program.outputs
         self._program = program
         self._names = names
+        ordered = sorted(program.inputs, key=lambda i: i.kind == "input")  # what is known early goes first
+        self._order = {i.name: sum(before.size for before in ordered[:k]) for k, i in enumerate(ordered)}
         self._known: dict[int, Text] = {}
         self.named: dict[int, str] = {}
 
@@ -108,87 +120,92 @@ class _Writer:
             return _number(instr.const)
         if instr.const is not None:
             return symbol(self._names(*instr.const)), _ATOM
-        if instr.op in ("add", "sub", "neg"):
-            return self._sum(k)
-        if instr.op in ("mul", "div"):
-            return self._product(k)
-        return self._function(k)
+        whole = instr.op == "pow" and self._factors(k, True) != [(True, k)]
+        return self._sum(k) if whole or instr.op in ("add", "sub", "neg", "mul", "div") else self._function(k)
 
     # ---- sums ----
 
-    def _terms(self, k: int, sign: int, first: bool = True) -> list[tuple[int, int]]:
-        """(sign, node) of a sum, its inner sums opened."""
+    def _terms(self, k: int, number: Fraction, first: bool = True) -> list[Term]:
+        """A value times a number as terms: inner sums are opened, and halves and thirds of them too."""
         instr = self._instrs[k]
         if k in self.named and not first:
-            return [(sign, k)]
-        if instr.op == "add":
-            return [t for a in instr.args for t in self._terms(a, sign, False)]
-        if instr.op == "sub":
-            return self._terms(instr.args[0], sign, False) + self._terms(instr.args[1], -sign, False)
+            return [Term(number, Counter({k: 1}), Counter())]
+        if instr.op in ("add", "sub"):
+            second = number if instr.op == "add" else -number
+            return self._terms(instr.args[0], number, False) + self._terms(instr.args[1], second, False)
         if instr.op == "neg":
-            return self._terms(instr.args[0], -sign, False)
-        return [(sign, k)]
+            return self._terms(instr.args[0], -number, False)
+        term = self._term(k, number, first)
+        alone = next(iter(term.above)) if term.above.total() == 1 and not term.below else None
+        if alone is not None and alone != k and term.number.denominator != 1 and self._is_sum(alone):
+            return self._terms(alone, term.number, False)
+        return [term]
+
+    def _is_sum(self, k: int) -> bool:
+        return self._instrs[k].op in ("add", "sub", "neg") and k not in self.named
 
     def _sum(self, k: int) -> Text:
-        terms = self._terms(k, 1)
-        if terms[0][0] < 0:  # not with a minus if it need not
-            terms = sorted(terms, key=lambda t: t[0] < 0)
+        terms = _collected(self._terms(k, Fraction(1)))
+        if not terms:
+            return mn("0"), _ATOM
+        if len(terms) == 1:
+            negative, text, binding = self._written_term(terms[0])
+            return (row(mo("−"), text), _SUM) if negative else (text, binding)
+        if terms[0].number < 0:  # not with a minus if it need not
+            terms = sorted(terms, key=lambda t: t.number < 0)
         parts: list[str] = []
-        for place, (sign, node) in enumerate(terms):
-            negative, text = self._unsigned(node)
-            minus = (sign < 0) != negative
-            if place or minus:
-                parts.append(mo("−" if minus else "+"))
-            parts.append(text)
+        for place, term in enumerate(terms):
+            negative, text, binding = self._written_term(term)
+            if place or negative:
+                parts.append(mo("−" if negative else "+"))
+            parts.append(text if binding > _SUM else bracketed(text))
         return row(*parts), _SUM
-
-    def _unsigned(self, node: int) -> tuple[bool, str]:
-        """A term, and whether a minus has to go before it."""
-        const = self._instrs[node].const
-        if isinstance(const, Fraction) and const < 0:
-            return True, _number(-const)[0]
-        if self._instrs[node].op in ("mul", "div") and node not in self.named:
-            negative, text, _ = self._fraction(node)
-            return negative, text
-        text, binding = self.text(node)
-        return False, text if binding > _SUM else bracketed(text)
 
     # ---- products ----
 
     def _factors(self, k: int, up: bool, first: bool = True) -> list[tuple[bool, int]]:
-        """(above the line, node) of a product, its inner products and quotients opened."""
+        """(above the line, node) of a product, its inner products, quotients and whole powers opened; -1 is a minus."""
         instr = self._instrs[k]
-        if (k in self.named and not first) or instr.op not in ("mul", "div", "neg"):
+        if k in self.named and not first:
             return [(up, k)]
         if instr.op == "neg":
             return [(up, -1), *self._factors(instr.args[0], up, False)]
-        second = up if instr.op == "mul" else not up
-        return self._factors(instr.args[0], up, False) + self._factors(instr.args[1], second, False)
+        if instr.op in ("mul", "div"):
+            second = up if instr.op == "mul" else not up
+            return self._factors(instr.args[0], up, False) + self._factors(instr.args[1], second, False)
+        exponent = self._instrs[instr.args[1]].const if instr.op == "pow" else None
+        if isinstance(exponent, Fraction) and exponent.denominator == 1 and 0 < abs(exponent) < 10:
+            return [(up == (exponent > 0), instr.args[0])] * abs(int(exponent))
+        return [(up, k)]
 
-    def _product(self, k: int) -> Text:
-        negative, text, binding = self._fraction(k)
-        return (row(mo("−"), text), _SUM) if negative else (text, binding)
-
-    def _fraction(self, k: int) -> tuple[bool, str, int]:
-        """Sign, text and binding of a product or a quotient."""
-        number = Fraction(1)
+    def _term(self, k: int, number: Fraction, first: bool) -> Term:
+        """A value times a number as one term; what stands above and below the line goes out."""
         above: Counter[int] = Counter()
         below: Counter[int] = Counter()
-        for up, node in self._factors(k, True):
+        for up, node in self._factors(k, True, first):
             const = Fraction(-1) if node < 0 else self._instrs[node].const
             if isinstance(const, Fraction) and const != 0:
                 number = number * const if up else number / const
             else:
                 (above if up else below)[node] += 1
-        negative, number = number < 0, _as_fraction(abs(number))
-        top, bottom = self._powers(above), self._powers(below)
-        over, under = (number.numerator, number.denominator) if number.denominator <= _SHORT else (None, 1)
-        if over is None:
+        return Term(number, above - below, below - above)
+
+    def _written_term(self, term: Term) -> tuple[bool, str, int]:
+        """Whether a minus goes before it, its text and binding."""
+        number = _as_fraction(abs(term.number))
+        top, bottom = self._powers(term.above), self._powers(term.below)
+        negative = term.number < 0
+        if number.denominator > _SHORT:
             top.insert(0, _number(number))
-        elif over != 1:
-            top.insert(0, (mn(str(over)), _ATOM))
-        if under != 1:
-            bottom.insert(0, (mn(str(under)), _ATOM))
+            number = Fraction(1)
+        over, under = mn(str(number.numerator)), mn(str(number.denominator))
+        if number.denominator != 1 and not bottom and len(top) > 1:
+            small = tag("mfrac", over, under, displaystyle="false")
+            return negative, _juxtaposed([(small, _ATOM), *top]), _PRODUCT
+        if number.numerator != 1 or not top:
+            top.insert(0, (over, _ATOM))
+        if number.denominator != 1:
+            bottom.insert(0, (under, _ATOM))
         if not bottom:
             return negative, _juxtaposed(top), _PRODUCT if len(top) > 1 else top[0][1]
         return negative, tag("mfrac", _juxtaposed(top), _juxtaposed(bottom)), _PRODUCT
@@ -197,12 +214,16 @@ class _Writer:
         ordered = sorted(factors, key=self._place)
         return [self._power(node, count) for node, count in ((n, factors[n]) for n in ordered)]
 
-    def _place(self, node: int) -> int:
-        """Symbols first, functions after them, sums in brackets last."""
+    def _place(self, node: int) -> tuple[int, int]:
+        """Parameters first, as the user declared them, then the other inputs, what has a name, functions, and sums in
+        brackets last."""
         instr = self._instrs[node]
-        if node in self.named or instr.const is not None:
-            return 0
-        return 2 if instr.op in ("add", "sub") else 1
+        if node in self.named:
+            return 1, 0
+        if isinstance(instr.const, tuple):
+            name, index = instr.const
+            return 0, self._order[name] + index
+        return (3 if self._is_sum(node) else 2), 0
 
     def _power(self, node: int, count: int) -> Text:
         if count == 1:
@@ -211,6 +232,8 @@ class _Writer:
         if instr.op in ("sin", "cos", "tan") and node not in self.named:
             return self._trigonometric(instr.op, instr.args[0], count), _PRODUCT
         text, binding = self.text(node)
+        if text.startswith("<msub>"):  # the power above the index
+            return f"<msubsup>{text[len('<msub>') : -len('</msub>')]}{mn(str(count))}</msubsup>", _ATOM
         return tag("msup", text if binding == _ATOM else bracketed(text), mn(str(count))), _ATOM
 
     # ---- functions ----
@@ -240,6 +263,17 @@ class _Writer:
         text, binding = self.text(argument)
         space = tag("mspace", width="0.17em")
         return row(name, *((space, text) if binding == _ATOM else (bracketed(text),)))
+
+
+def _collected(terms: Sequence[Term]) -> list[Term]:
+    """Terms of the same factors added up; what adds up to nothing is gone."""
+    numbers: dict[Any, Fraction] = {}
+    first: dict[Any, Term] = {}
+    for term in terms:
+        key = frozenset(term.above.items()), frozenset(term.below.items())
+        numbers[key] = numbers.get(key, Fraction(0)) + term.number
+        first.setdefault(key, term)
+    return [replace(first[key], number=number) for key, number in numbers.items() if number != 0]
 
 
 def _juxtaposed(factors: Sequence[Text]) -> str:

@@ -1,6 +1,6 @@
 """The paper's Figures 2-21, redrawn from closed loops of generated C and laid out like them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,9 @@ TITLES = {
 }
 """What each of the paper's figures shows."""
 
+_STYLE = {"font.size": 10, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "legend.frameon": False,
+          "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "servogen"}  # fmt: skip
+
 Curve = tuple[FloatArray, FloatArray, str]
 
 
@@ -60,15 +63,28 @@ class Sheet:
     caption: str
 
 
-def draw_paper(folder: Path, run: Callable[[str], Trajectory] | None = None) -> tuple[tuple[Path, str], ...]:
-    """(PNG, caption) of each sheet, written to `folder` beside an SVG. run: scene's name -> its trajectory."""
+def draw_paper(drawn: Sequence[Sheet], folder: Path) -> tuple[Path, ...]:
+    """The PNG of each sheet, written to `folder` beside an SVG."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = {name: (run or _run)(name) for name in SCENES}
-    return tuple((_draw(sheet, folder), sheet.caption) for sheet in sheets(found))
+    return tuple(_draw(sheet, folder) for sheet in drawn)
 
 
-def _run(name: str) -> Trajectory:
-    return ClosedLoop(*load_simulation(name)).run()
+def narrow_figures(sheet: Sheet) -> dict[int, Canvas]:
+    """The panels of a sheet by their number, each a figure as wide as a telephone's screen."""
+    found = {}
+    for panel in sheet.panels:
+        with matplotlib.rc_context(_STYLE | {"font.size": 9}):
+            found[panel.number] = canvas = Canvas(figsize=(4.0, 2.3), layout="constrained")
+            FigureCanvasAgg(canvas)
+            axis = canvas.subplots()
+            _panel(axis, panel)
+            axis.set_title("", loc="left")
+    return found
+
+
+def run_paper(known: Mapping[str, Trajectory]) -> dict[str, Trajectory]:
+    """One run of each of SCENES; those that are known need not be made."""
+    return {name: known.get(name) or ClosedLoop(*load_simulation(name)).run() for name in SCENES}
 
 
 def sheets(runs: dict[str, Trajectory]) -> tuple[Sheet, ...]:
@@ -159,11 +175,8 @@ def _tex(symbol: str) -> str:
 
 
 def _draw(sheet: Sheet, folder: Path) -> Path:
-    style = {"font.size": 10, "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6,
-             "legend.frameon": False,
-             "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "servogen"}  # fmt: skip
     rows = _rows(sheet)
-    with matplotlib.rc_context(style):
+    with matplotlib.rc_context(_STYLE):
         canvas = Canvas(figsize=(4.1 * sheet.columns, 2.7 * len(rows)), layout="constrained")
         FigureCanvasAgg(canvas)
         grid = canvas.add_gridspec(len(rows), sheet.columns)

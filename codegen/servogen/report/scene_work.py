@@ -1,7 +1,5 @@
 """What a report says of one scene, computed stage by stage."""
 
-import base64
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from servogen.bench.peers.peers import bench_peers
-from servogen.bench.plot import draw
+from servogen.bench.plot import draw, title
+from servogen.bench.plot import narrow_figures as narrow_bench
 from servogen.bench.results import Bench
 from servogen.bench.run import bench
 from servogen.compiler import build, optimised_scene
@@ -23,16 +21,19 @@ from servogen.ir.program import Program
 from servogen.loading import load_simulation
 from servogen.optimise.passes import optimise
 from servogen.package import Package
+from servogen.report.drawing import Drawing, draw_motion
 from servogen.report.equations import Equations, equations
+from servogen.report.inline import inline_svg
 from servogen.report.sparsity import kinds, picture
 from servogen.report.stages import Stage
 from servogen.scalars import EPSILON
 from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.drawing import motion_of
 from servogen.simulate.export import write_csv
-from servogen.simulate.plots import write_plots
-from servogen.simulate.precision import Precision, draw_precision, measure
+from servogen.simulate.plots import narrow_figures, write_plots
+from servogen.simulate.precision import Precision, draw_precision, measure, precision_figure
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
 from servogen.verify.check import CheckReport, check
@@ -42,6 +43,16 @@ BOARD = "cortex-m4"
 
 STATES_OF_A_BOX = 200
 """States from which the domain of a scene that draws its own is read off."""
+
+CAPTIONS = {
+    "psi": "Constraint error, and its prescribed decay",
+    "phi": "Constraint error, and its prescribed decay",
+    "controls": "Controls",
+    "states": "Configuration and velocity",
+    "outputs": "Outputs",
+    "margins": "Margins that end the run",
+}
+"""The figures of a run in words."""
 
 STAGES = (
     Stage("generate", "generate", 600, needed=True),
@@ -54,11 +65,11 @@ STAGES = (
 """The stages of a scene: methods of SceneWork, and the seconds each may take."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Figure:
-    """A picture as the page holds it: a data URI and a caption."""
+    """A picture as the page holds it: an SVG element and a caption."""
 
-    uri: str
+    svg: str
     caption: str
 
 
@@ -93,6 +104,7 @@ class Loop:
     off_decay: str  # how far the constraints were off their prescribed decay, and when
     ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
     figures: tuple[Figure, ...]
+    drawing: Drawing | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +112,7 @@ class Speed:
     """Run time against error of the generated functions beside others'."""
 
     bench: Bench
-    figure: Figure
+    figures: tuple[Figure, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +171,26 @@ class SceneWork:
         write_csv(run, folder / "trajectory.csv")
         if not len(run.t):
             return Loop(run, "", (("why the run ended", str(run.stop)),), ())
-        pictures = [p for p in write_plots(scene, simulation, run, folder) if p.suffix == ".png"]
+        write_plots(scene, simulation, run, folder)
+        narrow = narrow_figures(scene, simulation, run)
         return Loop(
             trajectory=run,
             off_decay=run.off_decay(simulation.units.get(run.constraint_name)),
             ending=_ending(run, simulation),
-            figures=tuple(Figure(data_uri(p), f"{scene.name}: {p.stem.replace('_', ' ')}") for p in pictures),
+            figures=tuple(
+                Figure(inline_svg(f, f"{scene.name}: {CAPTIONS[name]}", f"{scene.name}-{name}"), CAPTIONS[name])
+                for name, f in narrow.items()
+            ),
+            drawing=self._drawing(),
         )
+
+    def _drawing(self) -> Drawing | None:
+        motion = motion_of(self._scene, self._simulation, self._run)
+        if motion is None:
+            return None
+        label = f"The mechanism of {self._scene.name} from t = {motion.t[0]:g} s to {motion.t[-1]:.4g} s"
+        unit = "m" if self._simulation.drawing is None else ""  # a robot's frames are in metres
+        return draw_motion(motion, label, self._simulation.units.get("drawing", unit))
 
     def check(self) -> CheckReport:
         """The generated C against the 50-digit truth."""
@@ -179,17 +204,23 @@ class SceneWork:
         """Run time against error, beside others."""
         rounds = self._work.rounds
         found = bench_peers(self._work.spec, rounds=rounds) if self._work.peers else bench(self._scene, rounds=rounds)
-        drawn = next(p for p in draw(found, self._work.folder) if p.suffix == ".png")
-        return Speed(found, Figure(data_uri(drawn), f"{self._scene.name}: run time against error"))
+        draw(found, self._work.folder)
+        figures = []
+        for output, figure in narrow_bench(found).items():
+            caption = title(found, output)
+            drawn = inline_svg(figure, f"{caption}: run time against error", f"{self._scene.name}-{output.name}")
+            figures.append(Figure(drawn, caption))
+        return Speed(found, tuple(figures))
 
     def precision(self) -> LoopPrecision:
         """The closed loop with every step size, method and scalar."""
         name, duration = self._scene.name, min(2.0, 0.5 * self._run.stop.t)
         steps = [duration / n for n in (20, 40, 80, 160, 320, 640, 1280)]
         points = measure(self._scene, self._simulation, duration, steps)
-        drawn = draw_precision(name, duration, points, self._work.folder / "precision")
+        draw_precision(name, duration, points, self._work.folder / "precision")
+        drawn = inline_svg(precision_figure(duration, points), "run time against error", f"{name}-precision")
         return LoopPrecision(
-            Figure(data_uri(drawn), f"{name}: closed loop, run time against error"), _single(points, duration)
+            Figure(drawn, "Each mark a step size, its run time against its error"), _single(points, duration)
         )
 
     @cached_property
@@ -256,11 +287,3 @@ def _call(package: Package) -> str:
     kernel = package.module.control.name if package.module.control else ""
     found = re.search(rf"^static (?:\w+ )?void {package.prefix}_eval_{kernel}\(.*?^}}", text, re.MULTILINE | re.DOTALL)
     return found.group(0) if found else ""
-
-
-def data_uri(path: Path) -> str:
-    """A PNG in a palette of 128 colours: a third of its bytes, and no difference to see in line drawings."""
-    small = io.BytesIO()
-    with Image.open(path) as drawn:
-        drawn.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"

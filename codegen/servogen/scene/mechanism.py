@@ -8,6 +8,7 @@ import casadi as ca
 from servogen.errors import SceneError
 from servogen.scene.convert import column, is_identity, matrix, rates, symbols
 from servogen.scene.known import Gauge, KnownRates
+from servogen.scene.polylines import polylines
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +19,7 @@ class Mechanism:
     Q: n_u x n_u of q, t. P: n_u of q, u, t. G: n_u x l of q, u, t (l may exceed n_u).
     C: n_q x n_u of q, t, identity if absent. D: n_q of q, t, zero if absent.
     known: expressions of q whose rates need no differentiation (sg.urdf fills it); None if there are none.
+    skeleton: polylines of q by which a report draws it (sg.urdf fills it), as sg.Simulation(drawing=...); () if none.
     Entries may be SX or numbers, and may hold parameters. SceneError for wrong shapes and kinds.
     """
 
@@ -31,6 +33,7 @@ class Mechanism:
     D: Any = None
     t: Any = None
     known: KnownRates | None = None
+    skeleton: Any = ()
     _postures: list[tuple[Any, Any, Any]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -53,6 +56,7 @@ class Mechanism:
             raise SceneError(f"q has {n_q} entries and u has {n_u}; give C ({n_q}x{n_u}), for q' = C u + D")
         if self.D is not None:
             put("D", column(self.D, "D", n_q))
+        put("skeleton", polylines(self.skeleton, "skeleton"))
         for name in ("C", "D", "Q"):
             expression = getattr(self, name)
             if expression is not None and ca.depends_on(expression, self.u):

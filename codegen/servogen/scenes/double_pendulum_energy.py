@@ -35,6 +35,9 @@ K = ca.bilin(Q, u, u) / 2
 V = m * g * (R * (1 - ca.cos(q[0])) + h * (1 - ca.cos(q[1])))
 E = K + V
 
+hinge = R * ca.vertcat(ca.sin(q[0]), -ca.cos(q[0]))
+drawing = [[[0, 0], hinge, hinge + par.L * ca.vertcat(ca.sin(q[1]), -ca.cos(q[1]))]]
+
 scene = sg.Scene(
     "double_pendulum_energy",
     sg.Mechanism(q=q, u=u, tau=tau, Q=Q, P=P, G=G),
@@ -53,5 +56,6 @@ simulation = sg.Simulation(
     outputs={"E": E, "K/E": K / E},
     decay={"E": (-1.0, ref.E_0)},
     stop={"K/E < 1e-3": K - 1e-3 * E},
-    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J"},
+    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J", "drawing": "m"},
+    drawing=drawing,
 )

@@ -7,7 +7,7 @@ rank on the way as the mechanism slows down: the run ends at a margin, and says 
 import casadi as ca
 
 import servogen as sg
-from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, par, q, ref, tau, u
+from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, drawing, par, q, ref, tau, u
 
 scene = sg.Scene(
     "double_pendulum_energy_and_path",
@@ -30,5 +30,6 @@ simulation = sg.Simulation(
     stop={"K/E < 1e-3": K - 1e-3 * E},
     sigma_min=0.2,
     tau_max=100.0,
-    units={"q": "rad", "u": "rad/s", "tau": "N m", "E": "J"},
+    units={"q": "rad", "u": "rad/s", "tau": "N m", "E": "J", "drawing": "m"},
+    drawing=drawing,
 )

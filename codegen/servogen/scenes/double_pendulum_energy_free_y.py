@@ -12,7 +12,7 @@ every w tried; in the metric of Q, K/E stays above 0.48 from the start below, an
 import casadi as ca
 
 import servogen as sg
-from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, par, q, ref, tau, u
+from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, drawing, par, q, ref, tau, u
 
 w, k = 6.0, 4.0  # rad/s of the spiral; 1/s at which omega approaches it
 hanging = ca.substitute(Q, q, ca.DM.zeros(2))
@@ -38,5 +38,6 @@ simulation = sg.Simulation(
     decay={"E": (-1.0, ref.E_0)},
     stop={"K/E < 1e-3": K - 1e-3 * E},
     method="dop8",
-    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J"},
+    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J", "drawing": "m"},
+    drawing=drawing,
 )

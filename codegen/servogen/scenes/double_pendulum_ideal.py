@@ -4,7 +4,7 @@ R = Theta (E - E_0) Q u / (2 K) in closed form: it vanishes with E only while K 
 """
 
 import servogen as sg
-from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, par, q, ref, tau, u
+from servogen.scenes.double_pendulum_energy import E, G, K, P, Q, drawing, par, q, ref, tau, u
 
 scene = sg.Scene(
     "double_pendulum_ideal",
@@ -24,5 +24,6 @@ simulation = sg.Simulation(
     decay={"E": (-1.0, ref.E_0)},
     stop={"K/E < 1e-3": K - 1e-3 * E},
     domain={"u": (-8.0, 8.0)},  # as the energy goes, what is left of it is all motion for a while
-    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J"},
+    units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "J", "E": "J", "drawing": "m"},
+    drawing=drawing,
 )

@@ -24,7 +24,7 @@ def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> s
     )
     ref = sg.References(r=sg.Ref([0.6, 0.4], order=2, unit="m", text="where the end shall be"))
     q, u, tau = ca.SX.sym("theta", 3), ca.SX.sym("omega", 3), ca.SX.sym("tau", 3)
-    centres, end = _points(q, par)
+    centres, joints = _points(q, par)
     spin = ca.cumsum(u)
     kinetic = sum(
         (par.m[k] * ca.sumsqr(ca.jacobian(centres[k], q) @ u) + par.m[k] * par.a[k] ** 2 / 12 * spin[k] ** 2) / 2
@@ -38,7 +38,7 @@ def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> s
     return sg.Scene(
         name,
         sg.Mechanism(q=q, u=u, tau=tau, Q=Q, P=-bias, G=ca.DM.eye(3)),
-        [sg.Holonomic("end", end - ref.r, Theta1=-6.0, Theta2=-8.0)],
+        [sg.Holonomic("end", joints[-1] - ref.r, Theta1=-6.0, Theta2=-8.0)],
         parameters=par,
         references=ref,
         y=-damping * u if damping else None,
@@ -47,14 +47,14 @@ def arm(name: str, damping: float = 0.0, inverse_mass_weight: bool = False) -> s
     )
 
 
-def _points(q: Any, par: sg.Parameters) -> tuple[list[Any], Any]:
-    """The links' centres of mass, and the arm's end."""
-    angle, end, centres = ca.cumsum(q), ca.SX.zeros(2), []
+def _points(q: Any, par: Any) -> tuple[list[Any], list[Any]]:
+    """The links' centres of mass; and the joints, the arm's end last."""
+    angle, centres, joints = ca.cumsum(q), [], [ca.SX.zeros(2)]
     for k in range(3):
         along = ca.vertcat(ca.cos(angle[k]), ca.sin(angle[k]))
-        centres.append(end + par.a[k] / 2 * along)
-        end = end + par.a[k] * along
-    return centres, end
+        centres.append(joints[-1] + par.a[k] / 2 * along)
+        joints.append(joints[-1] + par.a[k] * along)
+    return centres, joints
 
 
 def circle(t: Any) -> Any:
@@ -65,6 +65,7 @@ def circle(t: Any) -> Any:
 def arm_run(scene: sg.Scene) -> sg.Simulation:
     """A circle of 0.15 m in two seconds, from a start 0.37 m off it."""
     assert scene.references is not None
+    _, joints = _points(scene.mechanism.q, scene.parameters)
     error = expression_of(scene.constraints[0])
     return sg.Simulation(
         start={"q": [0.2, 1.0, 0.8], "u": [0.0, 0.0, 0.0]},
@@ -76,8 +77,10 @@ def arm_run(scene: sg.Scene) -> sg.Simulation:
             "kinetic energy": ca.bilin(scene.mechanism.Q, scene.mechanism.u, scene.mechanism.u) / 2,
         },
         domain={"q": ([-1.2, 0.4, -1.2], [1.5, 2.8, 2.2]), "u": (-15.0, 15.0)},  # the spare joint goes its own way
-        units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "m", "tracking error": "m", "kinetic energy": "J"},
-    )
+        units={"q": "rad", "u": "rad/s", "tau": "N m", "psi": "m", "tracking error": "m", "kinetic energy": "J",
+               "drawing": "m"},
+        drawing=[joints, [scene.references.r]],
+    )  # fmt: skip
 
 
 scene = arm("planar_arm_3r")

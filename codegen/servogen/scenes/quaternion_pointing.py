@@ -47,10 +47,13 @@ scene = sg.Scene(
     domain=draw,
 )
 
+first = ca.vertcat(w**2 + x**2 - y**2 - z**2, 2 * (x * y + w * z), 2 * (x * z - w * y))  # the first axis, in space
+
 simulation = sg.Simulation(
     start={"q": [0.8, 0.4, -0.4, 0.2], "u": [0.05, -0.1, 0.2]},
     duration=15.0,
     step=5e-3,
     outputs={"|q| - 1": ca.norm_2(q) - 1, "angle to the target": ca.atan2(ca.norm_2(axis[:2]), axis[2])},
     units={"u": "rad/s", "tau": "N m", "angle to the target": "rad"},
+    drawing=[[[0, 0, 0], axis], [-0.3 * first, 0.3 * first], [[0, 0, 1]]],  # the instrument, a panel, the target
 )

@@ -4,6 +4,8 @@ q = (x, y, heading), u = (speed, turn rate), controls are the torques of the two
 towards the circle (holonomic, second order), and the speed towards its set-point.
 """
 
+import math
+
 import casadi as ca
 import numpy as np
 
@@ -44,11 +46,16 @@ scene = sg.Scene(
     domain={"q": ([1.0, -1.0, 1.0], [3.0, 1.0, 2.0]), "u": ([0.2, -1.0], [1.5, 1.0])},
 )  # fmt: skip
 
+left = par.track * ca.vertcat(-s, c)
+turn = ca.linspace(0.0, 2 * math.pi, 61).T
+circle = ref.radius * ca.vertcat(ca.cos(turn), ca.sin(turn))
+
 simulation = sg.Simulation(
     start={"q": [2.6, 0.0, 1.2], "u": [0.3, 0.0]},
     duration=10.0,
     step=2e-3,
     domain={"q": ([-3.0, -3.0, -np.inf], [3.0, 3.0, np.inf]), "u": ([0.0, -2.0], [1.5, 2.0])},  # all round the circle
     outputs={"x": q[0], "y": q[1], "distance to the circle": distance},
-    units={"u": "m/s, rad/s", "tau": "N m", "x": "m", "y": "m", "distance to the circle": "m"},
+    units={"u": "m/s, rad/s", "tau": "N m", "x": "m", "y": "m", "distance to the circle": "m", "drawing": "m"},
+    drawing=[circle, [point, q[:2] + left, q[:2] - left, point]],
 )

@@ -16,10 +16,16 @@ from servogen.scene.scene import Scene
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
 
-_GREEK = frozenset(
-    """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi
-    omega""".split()
+_GREEK = dict(
+    zip(
+        """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi
+        omega""".split(),
+        "αβγδεζηθικλμνξπρστφχψω",
+        strict=True,
+    )
 )
+_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")  # told apart by all eyes
 _IDEAL = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.2}
 _STYLE = {
@@ -39,6 +45,15 @@ _STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
+_NARROW = _STYLE | {
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.3,
+}
+"""At 4 inches: text that can be read on a telephone, where such a figure is as wide as the screen."""
+
 METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8"}
 
 Panel = Callable[[Any], None]
@@ -46,42 +61,55 @@ Panel = Callable[[Any], None]
 
 def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, out: Path) -> tuple[Path, ...]:
     """states, controls, psi or phi, outputs and margins (where there are any), as PNG and SVG in the folder `out`."""
+    files: list[Path] = []
+    for name, panels in _panels(scene, simulation, trajectory).items():
+        with matplotlib.rc_context(_STYLE):
+            figure = _figure(trajectory, panels, (7.2, 1.1 + (2.5 if len(panels) < 3 else 1.9) * len(panels)))
+            figure.suptitle(_title(trajectory), fontsize=11, x=0.02, ha="left")
+            png, svg = (out / f"{name}.{ending}" for ending in ("png", "svg"))
+            figure.savefig(png, dpi=160, metadata={"Software": None})
+            figure.savefig(svg, metadata={"Date": None, "Creator": None})
+        files += [png, svg]
+    return tuple(files)
+
+
+def narrow_figures(scene: Scene, simulation: Simulation, trajectory: Trajectory) -> dict[str, Figure]:
+    """The same by name, as wide as a telephone's screen and without a title: for the columns of a page."""
+    with matplotlib.rc_context(_NARROW):
+        panels = _panels(scene, simulation, trajectory)
+        return {name: _figure(trajectory, own, (4.0, 0.6 + 1.9 * len(own))) for name, own in panels.items()}
+
+
+def _panels(scene: Scene, simulation: Simulation, trajectory: Trajectory) -> dict[str, list[Panel]]:
+    """The figures by name, the constraint's first: that is what the loop is for."""
     units = simulation.units
     mech = scene.mechanism
     psi = trajectory.constraint_name
     figures = {
+        psi: _constraint_panels(scene, trajectory, units.get(psi)),
+        "controls": _curves(trajectory, trajectory.tau, _symbol_names(mech.tau), "controls τ", units.get("tau")),
         "states": [
             *_curves(trajectory, trajectory.q, _symbol_names(mech.q), "configuration q", units.get("q")),
             *_curves(trajectory, trajectory.u, _symbol_names(mech.u), "velocity u", units.get("u")),
         ],
-        "controls": _curves(trajectory, trajectory.tau, _symbol_names(mech.tau), "controls τ", units.get("tau")),
-        psi: _constraint_panels(scene, trajectory, units.get(psi)),
     }
     if trajectory.outputs:
         figures["outputs"] = _output_panels(trajectory, units)
     if simulation.sigma_min is not None or simulation.tau_max is not None:
         figures["margins"] = _margin_panels(simulation, trajectory, units.get("tau"))
-    files: list[Path] = []
-    for name, panels in figures.items():
-        files += _draw(trajectory, panels, out / name)
-    return tuple(files)
+    return figures
 
 
-def _draw(trajectory: Trajectory, panels: Sequence[Panel], stem: Path) -> list[Path]:
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 1.1 + (2.5 if len(panels) < 3 else 1.9) * len(panels)), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for panel, axis in zip(panels, axes, strict=True):
-            panel(axis)
-            _mark_stop(trajectory, axis)
-        axes[-1].set_xlabel("time t [s]")
-        figure.align_ylabels(axes)
-        figure.suptitle(_title(trajectory), fontsize=11, x=0.02, ha="left")
-        png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
-        figure.savefig(png, dpi=160, metadata={"Software": None})
-        figure.savefig(svg, metadata={"Date": None, "Creator": None})
-    return [png, svg]
+def _figure(trajectory: Trajectory, panels: Sequence[Panel], size: tuple[float, float]) -> Figure:
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, axis in zip(panels, axes, strict=True):
+        panel(axis)
+        _mark_stop(trajectory, axis)
+    axes[-1].set_xlabel("time t [s]")
+    figure.align_ylabels(axes)
+    return figure
 
 
 def _title(trajectory: Trajectory) -> str:
@@ -214,27 +242,26 @@ def _legend(axis: Any, count: int) -> None:
     if count > 1:
         above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
         longest = max(len(label) for label in axis.get_legend_handles_labels()[1])
-        columns, size = (min(count, 4), 10) if longest < 24 else (3, 8)
-        axis.legend(ncols=columns, fontsize=size, handlelength=1.6, **above)
+        columns = min(count, 4) if longest < 24 else 3
+        size = matplotlib.rcParams["legend.fontsize"] - (0 if longest < 24 else 2)
+        axis.legend(ncols=columns, fontsize=size, handlelength=1.6, columnspacing=1.2, **above)
 
 
 def _axis(name: str, unit: str | None) -> str:
     """ "K [J]", powers in the unit raised."""
     if not unit:
         return name
-    raised = re.sub(r"\^(-?[0-9]+)", r"$^{\1}$", unit)
+    raised = re.sub(r"\^(-?[0-9]+)", lambda power: power[1].translate(_RAISED), unit)
     return f"{name} [{raised}]"
 
 
 def _symbol_names(symbols: Any) -> list[str]:
-    """theta_0 as a Greek letter with an index, other names upright."""
-    return [_math(s.name()) for s in symbols.nonzeros()]
+    """theta_0 as a Greek letter with an index, other names as they are."""
+    return [_symbol(s.name()) for s in symbols.nonzeros()]
 
 
-def _math(name: str) -> str:
+def _symbol(name: str) -> str:
     base, _, index = name.rpartition("_")
     if not base or not index.isdigit():
         base, index = name, ""
-    spaced = base.replace("_", r"\ ")
-    text = rf"\{base}" if base in _GREEK else rf"\mathrm{{{spaced}}}" if len(base) > 1 else base
-    return f"${text}_{{{index}}}$" if index else f"${text}$"
+    return _GREEK.get(base, base.replace("_", " ")) + index.translate(_LOWERED)

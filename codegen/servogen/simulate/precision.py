@@ -16,6 +16,7 @@ from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.plots import METHOD_NAMES
 from servogen.simulate.simulation import METHODS, Simulation, moving_references, start_values
 from servogen.simulate.trajectory import Trajectory
 
@@ -97,23 +98,32 @@ def measure(
 
 def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem: Path) -> Path:
     """Run time against error, both logarithmic; one curve a method and scalar. Returns the PNG."""
+    figure = precision_figure(duration, found, (7.2, 4.2), 11)
+    figure.suptitle(f"{scene}: closed loop, run time against error", fontsize=11, x=0.02, ha="left")
+    file = stem.with_suffix(".png")
+    with matplotlib.rc_context({"svg.hashsalt": "servogen"}):
+        figure.savefig(file, dpi=160, metadata={"Software": None})
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
+    return file
+
+
+def precision_figure(
+    duration: float, found: Sequence[Precision], size: tuple[float, float] = (4.0, 3.2), font: float = 9
+) -> Figure:
+    """The curves of draw_precision without a title; size in inches, font in points."""
     marks = {"rk4": "o", "dop8": "s"}
     colours = {"float64": "#0072B2", "float32": "#D55E00"}
-    with matplotlib.rc_context({"font.size": 11, "legend.frameon": False, "svg.hashsalt": "servogen"}):
-        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    with matplotlib.rc_context({"font.size": font, "legend.frameon": False}):
+        figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         axis = figure.subplots()
         for scalar, method in dict.fromkeys((p.scalar, p.method) for p in found):
             points = [p for p in found if (p.scalar, p.method) == (scalar, method)]
             axis.loglog([p.error for p in points], [1e3 * p.seconds for p in points], marks[method] + "-",
                         color=colours[scalar], fillstyle="full" if method == "rk4" else "none",
-                        label=f"{method}, {scalar}")  # fmt: skip
+                        label=f"{METHOD_NAMES[method]}, {scalar}")  # fmt: skip
         axis.set_xlabel(f"largest error of q and u at {duration:g} s")
         axis.set_ylabel("run time [ms]")
-        axis.set_title(f"{scene}: closed loop, run time against error", loc="left", fontsize=11)
         axis.grid(True, which="major", color="#dddddd")
-        axis.legend()
-        file = stem.with_suffix(".png")
-        figure.savefig(file, dpi=160, metadata={"Software": None})
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None, "Creator": None})
-    return file
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=font - 1, borderaxespad=0.2)
+    return figure

@@ -12,6 +12,7 @@ from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
 from servogen.scene.mechanism import Mechanism
+from servogen.scene.polylines import polylines
 from servogen.scene.scene import Scene
 from servogen.scene.symbols import Field, chains
 from servogen.simulate.machine import Actuators, check_readings, machine_arrays, plant_scene
@@ -41,7 +42,10 @@ class Simulation:
     tolerance: of psi (phi) off its prescribed decay: a share of its size over the domain, or {constraint: number} in
         psi's own unit. Default 1e-3 of its size; with a sampling controller 1e-2, and omega hold more, omega the
         fastest eigenvalue of Theta in 1/s: so much an error moves within a tick.
-    units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
+    units: of q, u, tau, psi (or phi), the outputs by name and the drawing, for the axes.
+    drawing: the mechanism as polylines, for the report: [[a, b, c], [target]], each a list of points, 2 or 3 entries of
+        SX of q, u, tau, t, parameters and references (or a matrix with points as columns); a single point is a mark. In
+        space z points upwards. None: a robot of sg.urdf draws itself, other mechanisms are not drawn.
 
     The machine, by default exactly the controller's model, without flaws:
     plant: its own values of parameters, {"m": 2.0}; or another sg.Mechanism of as many q, u and tau.
@@ -74,6 +78,7 @@ class Simulation:
     hold: float | None = None
     disturbance: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
     seed: int = 0
+    drawing: Any = None
 
     def __post_init__(self) -> None:
         for what in (
@@ -92,6 +97,8 @@ class Simulation:
                 raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
         _check_tolerance(self.tolerance)
         self._check_machine()
+        if self.drawing is not None:
+            object.__setattr__(self, "drawing", polylines(self.drawing, "simulation: drawing"))
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -135,6 +142,7 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     named = [(f"outputs[{n!r}]", e) for n, e in simulation.outputs.items()]
     named += [(f"stop[{n!r}]", e) for n, e in simulation.stop.items()]
     named += [(f"decay[{n!r}]", e) for n, pair in simulation.decay.items() for e in pair]
+    named += [(f"drawing[{k}]", line) for k, line in enumerate(simulation.drawing or ())]
     for what, expression in named:
         for symbol in ca.symvar(expression):
             if symbol.__hash__() not in known:
@@ -149,7 +157,7 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
         checked(simulation.plant, run_takes(scene)["parameters"], "plant")
     plant_scene(scene, simulation)
     machine_arrays(scene, simulation, 1.0)
-    names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
+    names = {"psi", "phi", "drawing", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
             raise SceneError(

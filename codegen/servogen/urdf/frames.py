@@ -53,7 +53,7 @@ def _reframe(tree: Tree, moves: list[tuple[Matrix, Vector]]) -> Tree:
         axis = apply(back, body.axis)
         bodies.append(replace(body, rotation=at.rotation, origin=at.origin, axis=axis, inertia=inertia))
     frames = {link: _seen_from_new(frame, moves[frame.body]) for link, frame in tree.frames.items()}
-    return Tree(tuple(bodies), frames)
+    return Tree(tuple(bodies), frames, tree.above)
 
 
 def _seen_from_new(frame: Frame, move: tuple[Matrix, Vector]) -> Frame:

@@ -42,7 +42,7 @@ def regroup(tree: Tree) -> Regrouped:
         parent = bodies[body.parent]
         moved = hidden.seen_from(body.rotation, body.origin)
         bodies[body.parent] = replace(parent, inertia=parent.inertia + moved)
-    return Regrouped(Tree(tuple(bodies), tree.frames), rotors)
+    return Regrouped(Tree(tuple(bodies), tree.frames, tree.above), rotors)
 
 
 def _hidden(body: Body) -> Inertia:

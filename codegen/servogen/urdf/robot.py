@@ -18,6 +18,7 @@ from servogen.urdf.description import read
 from servogen.urdf.frames import align, slide
 from servogen.urdf.motion import Motion, Motions, link, motions
 from servogen.urdf.regroup import regroup
+from servogen.urdf.skeleton import skeleton
 from servogen.urdf.tree import Frame, Tree, build
 from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
 
@@ -68,7 +69,8 @@ class Robot:
         C = rate_map(self._base, self.q[3:7], n) if base else None
         Q, P = self._mass_matrix(), -self._forces(self._motion)
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
-        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known)
+        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known,
+                         skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
         """The joint efforts that by themselves would give u' = -damping u - stiffness (q - centre): a scene's `y`.

@@ -37,10 +37,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Tree:
-    """bodies[0] is the root: the world for a fixed base, the floating base otherwise. frames: by link name."""
+    """bodies[0] is the root: the world for a fixed base, the floating base otherwise. frames: by link name.
+
+    above: link -> the link that its joint hangs on.
+    """
 
     bodies: tuple[Body, ...]
     frames: dict[str, Frame]
+    above: dict[str, str]
 
 
 def build(description: Description, joints: Sequence[str] | None) -> Tree:
@@ -68,7 +72,7 @@ def build(description: Description, joints: Sequence[str] | None) -> Tree:
             carrier = bodies[at.body]
             bodies[at.body] = replace(carrier, inertia=carrier.inertia + inertia.seen_from(turn, origin))
         waiting += reversed(children.get(joint.child, []))
-    tree = Tree(tuple(bodies), frames)
+    tree = Tree(tuple(bodies), frames, {joint.child: joint.parent for joint in description.joints})
     _check_inertia(description, tree)
     return tree
 
