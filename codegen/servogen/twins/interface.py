@@ -2,21 +2,28 @@
 
 import math
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
-from servogen.scene.scene import Scene
+from servogen.scene.constraints import expression_of
+from servogen.scene.scene import Scene, expressions
+
+_OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
+"""Functions that need no model."""
 
 
 class Twin(ABC):
     """A scene's controller. Inputs go by keyword: q, u, t, tau, y and the references, each a number or a list.
 
-    A keyword the scene knows but does not use is accepted, an unknown one is a TypeError, a missing one takes its
-    default (references) or zero. Functions that are not a scene's own (S for a controls-involved scene, say) are
+    A keyword the scene knows but does not use is accepted, an unknown one is a TypeError. So is a state (q, u) left out
+    that the scene uses (psi, phi, A and project: that its constraints use); other inputs left out take their default
+    (references) or zero (t, tau, y). Functions that are not a scene's own (S for a controls-involved scene, say) are
     AttributeErrors. Matrices have shape (rows, columns), vectors (rows,); NaN where the code leaves outputs untouched.
     """
 
@@ -41,6 +48,12 @@ class Twin(ABC):
             values[name] = _sized(given, fields[name].size, name)
         return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
 
+    def __repr__(self) -> str:
+        inputs = ", ".join(f"{f.name} ({f.size})" for f in self.scene.input_fields())
+        parameters = ", ".join(f.name for f in self.scene.parameters) or "none"
+        kind = type(self).__name__
+        return f"<{kind} of {self.scene.name!r}, {self.scalar}: inputs {inputs}; parameters {parameters}>"
+
     def __getattr__(self, name: str) -> Any:
         if name in ("S", "z", "psi", "A", "B", "phi", "R", "T", "F"):
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
@@ -56,10 +69,10 @@ class Twin(ABC):
 
     def control(self, *, last: Any = None, **inputs: Any) -> Control:
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
-        return self._control("control", self.read_inputs(inputs), self._last(last))
+        return self._control("control", self.read_inputs(inputs, "control"), self._last(last))
 
-    def read_inputs(self, given: dict[str, Any]) -> dict[str, FloatArray]:
-        """Every input of the scene as an array (size,)."""
+    def read_inputs(self, given: dict[str, Any], function: str = "control") -> dict[str, FloatArray]:
+        """Every input of the scene as an array (size,). TypeError where a state that the function needs is missing."""
         scene = self.scene
         fields = {f.name: f for f in scene.input_fields()}
         sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
@@ -68,9 +81,31 @@ class Twin(ABC):
         values = {}
         for name, value in given.items():
             if name not in sizes:
-                raise TypeError(f"no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
+                raise TypeError(f"{function}: no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
             values[name] = _sized(value, sizes[name], name)
+        missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
+        if missing:
+            raise TypeError(
+                f"{function}: {' and '.join(missing)} of scene {scene.name!r} is left out; give every state by keyword"
+            )
         return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+
+    def _needed(self, function: str) -> tuple[str, ...]:
+        """Those of q and u without which a function has no meaning."""
+        return self._states["constraints" if function in _OF_CONSTRAINTS_ALONE else "scene"]
+
+    @cached_property
+    def _states(self) -> dict[str, tuple[str, ...]]:
+        """Those of q and u that the constraints use, and that the scene does; q' belongs to a constraint on q."""
+        mech, parts = self.scene.mechanism, expressions(self.scene)
+        constraints = [expression_of(c) for c in self.scene.constraints]
+        if any(ca.depends_on(e, mech.q) for e in constraints):
+            parts["q'"] = mech.q_dot
+
+        def used(found: list[Any]) -> tuple[str, ...]:
+            return tuple(n for n in ("q", "u") if any(ca.depends_on(e, getattr(mech, n)) for e in found))
+
+        return {"constraints": used(constraints), "scene": used(list(parts.values()))}
 
     def _last(self, last: Any) -> FloatArray:
         value = np.zeros(self.scene.controls) if last is None else _sized(last, self.scene.controls, "last")
@@ -94,15 +129,15 @@ class ServoTwin(Twin):
 
     def psi(self, **inputs: Any) -> FloatArray:
         """The constraints' values, shape (m,)."""
-        return self._evaluate("psi", self.read_inputs(inputs))
+        return self._evaluate("psi", self.read_inputs(inputs, "psi"))
 
     def S(self, **inputs: Any) -> FloatArray:
         """psi_u Q^-1 G, shape (m, l), Eq. (8)."""
-        return self._evaluate("S", self.read_inputs(inputs))
+        return self._evaluate("S", self.read_inputs(inputs, "S"))
 
     def z(self, **inputs: Any) -> FloatArray:
         """-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9)."""
-        return self._evaluate("z", self.read_inputs(inputs))
+        return self._evaluate("z", self.read_inputs(inputs, "z"))
 
 
 class IdealTwin(Twin):
@@ -110,19 +145,19 @@ class IdealTwin(Twin):
 
     def psi(self, **inputs: Any) -> FloatArray:
         """The constraints' values, shape (m,)."""
-        return self._evaluate("psi", self.read_inputs(inputs))
+        return self._evaluate("psi", self.read_inputs(inputs, "psi"))
 
     def R(self, **inputs: Any) -> FloatArray:
         """The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17)."""
-        return self._evaluate("R", self.read_inputs(inputs))
+        return self._evaluate("R", self.read_inputs(inputs, "R"))
 
     def T(self, **inputs: Any) -> FloatArray:
         """[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26)."""
-        return self._evaluate("T", self.read_inputs(inputs))
+        return self._evaluate("T", self.read_inputs(inputs, "T"))
 
     def F(self, **inputs: Any) -> FloatArray:
         """[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26)."""
-        return self._evaluate("F", self.read_inputs(inputs))
+        return self._evaluate("F", self.read_inputs(inputs, "F"))
 
 
 class ControlsTwin(Twin):
@@ -130,23 +165,23 @@ class ControlsTwin(Twin):
 
     def phi(self, **inputs: Any) -> FloatArray:
         """The constraints' values, shape (m,)."""
-        return self._evaluate("phi", self.read_inputs(inputs))
+        return self._evaluate("phi", self.read_inputs(inputs, "phi"))
 
     def A(self, **inputs: Any) -> FloatArray:
         """phi_tau, shape (m, l), Eq. (39)."""
-        return self._evaluate("A", self.read_inputs(inputs))
+        return self._evaluate("A", self.read_inputs(inputs, "A"))
 
     def B(self, **inputs: Any) -> FloatArray:
         """Right side of A tau' = B, shape (m,), Eq. (40)."""
-        return self._evaluate("B", self.read_inputs(inputs))
+        return self._evaluate("B", self.read_inputs(inputs, "B"))
 
     def project(self, *, last: Any = None, **inputs: Any) -> Control:
         """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs), self._last(last))
+        return self._control("project", self.read_inputs(inputs, "project"), self._last(last))
 
     def step(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
         """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs), self._last(last), float(dt))
+        return self._control("step", self.read_inputs(inputs, "step"), self._last(last), float(dt))
 
 
 def refusal(status: Status) -> Info:
