@@ -3,7 +3,7 @@
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servogen.twins.compiled import CompiledSolver, CompiledTwin
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Package:
     """A generated package: `path` is its folder, `manifest` what manifest.json says.
 
@@ -25,10 +25,24 @@ class Package:
 
     path: Path
     manifest: dict[str, Any]
-    module: Module = field(repr=False)
-    scene: Scene | None = field(default=None, repr=False)
+    module: Module
+    scene: Scene | None = None
     remarks: tuple[str, ...] = ()
-    _keep: Any = field(default=None, repr=False)  # a temporary folder lives as long as its package
+    _keep: Any = None  # a temporary folder lives as long as its package
+
+    def __repr__(self) -> str:
+        return f"<Package {self.prefix} ({self.module.target.scalar}) in {self.path}: {', '.join(self._functions())}>"
+
+    def _repr_markdown_(self) -> str:
+        """As a notebook shows it."""
+        rows = [f"| `{self.prefix}_{name}` | {count or ''} |" for name, count in self._functions().items()]
+        lines = [f"**{self.prefix}** ({self.module.target.scalar}) in `{self.path}`", ""]
+        lines += ["| C function | operations |", "|---|--:|", *rows]
+        return "\n".join([*lines, *(f"\n*{text}*" for text in self.remarks)])
+
+    def _functions(self) -> dict[str, Any]:
+        """Entry point -> operations of the scene's own code."""
+        return {name: point["operations"]["total"] for name, point in self.manifest["entry_points"].items()}
 
     @property
     def prefix(self) -> str:

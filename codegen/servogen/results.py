@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,22 @@ class Info:
     sweeps: int
     sigma_min: float
     residual: float
+
+    def __repr__(self) -> str:
+        """Names for numbers; of a stack, how often each."""
+        status, path = _names(Status, self.status), _names(Path, self.path)
+        figures = ", ".join(f"{n}={_figure(getattr(self, n))}" for n in ("rank", "sweeps", "sigma_min", "residual"))
+        return f"Info({status}, {path}, {figures})"
+
+
+def _names(kind: type[IntEnum], value: Any) -> str:
+    if np.ndim(value) == 0:
+        return kind(value).name
+    return " ".join(f"{kind(k).name}*{n}" for k, n in zip(*np.unique(value, return_counts=True), strict=True))
+
+
+def _figure(value: Any) -> str:
+    return f"{value:.4g}" if np.ndim(value) == 0 else f"{np.min(value):.4g}..{np.max(value):.4g}"
 
 
 @dataclass(frozen=True)

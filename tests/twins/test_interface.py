@@ -69,7 +69,7 @@ def test_wrong_sizes_are_value_errors() -> None:
         with pytest.raises(ValueError, match="k has 1 entries; it must have 3"):
             twin.prepare(k=1.0)
         with pytest.raises(ValueError, match="last has 3 entries"):
-            twin.control(last=[0.0] * 3)
+            twin.control(u=[0.0, 0.0], last=[0.0] * 3)
         with pytest.raises(ValueError, match=r"pinv: the matrix has shape \(3, 3\)"):
             twin.pinv(np.eye(3))
 
@@ -77,10 +77,31 @@ def test_wrong_sizes_are_value_errors() -> None:
 def test_what_is_left_out_takes_its_default() -> None:
     for twin in both(SCENES["columns"]):
         full = twin.control(q=[0, 0], u=[0, 0], t=0.0, c0_r=1.0, c1=[0.0, 1.0], c1_dot=[0.0, 0.0])
-        assert np.array_equal(twin.control().value, full.value)
-        moved = twin.control(c0_r=2.0).value
+        assert np.array_equal(twin.control(u=[0, 0]).value, full.value)
+        moved = twin.control(u=[0, 0], c0_r=2.0).value
         assert not np.array_equal(moved, full.value)
-        assert np.array_equal(twin.control(c1=[0.0, 1.0]).value, full.value)
+        assert np.array_equal(twin.control(u=[0, 0], c1=[0.0, 1.0]).value, full.value)
+
+
+def test_a_state_that_is_left_out_is_a_type_error() -> None:
+    """tau of zeros at a state that nobody meant; but only where the function has a use for it."""
+    for twin in both(SCENES["plain"]):  # u_0 + q_1
+        for call in (twin.control, twin.S, twin.z, twin.psi):
+            with pytest.raises(
+                TypeError, match=rf"{call.__name__}: q \(q_0, q_1\) and u \(u_0, u_1\) of scene 'plain'"
+            ):
+                call()
+            with pytest.raises(TypeError, match=r"u \(u_0, u_1\) of scene 'plain' is left out; give every state"):
+                call(q=[0, 0])
+    q, u, tau = ca.SX.sym("q"), ca.SX.sym("u"), ca.SX.sym("tau")
+    place = sg.Scene("place", sg.Mechanism(q=q, u=u, tau=tau, Q=1, P=0, G=1), [sg.Holonomic("at", q, -2.0, -1.0)])
+    for twin in both(place):
+        assert twin.psi(q=2.0) == 2.0  # psi of q alone
+        with pytest.raises(TypeError, match=r"z: u \(u\)"):  # psi' is u
+            twin.z(q=2.0)
+    for twin in both(load_scene("spacecraft")):
+        with pytest.raises(TypeError, match="step: u"):
+            twin.step(0.1, tau=[0, 0, 0])
 
 
 def test_numbers_lists_columns_and_integers() -> None:
@@ -212,11 +233,11 @@ def test_an_input_that_is_not_finite_leaves_every_output(name: str) -> None:
 def test_last_defaults_to_zeros_and_is_not_written_to() -> None:
     for twin in both(SCENES["plain"]):
         last = np.array([3.0, 4.0])
-        assert twin.control(q=[math.nan, 0]).value.tolist() == [0.0, 0.0]
-        kept = twin.control(q=[math.nan, 0], last=last)
+        assert twin.control(q=[math.nan, 0], u=[0, 0]).value.tolist() == [0.0, 0.0]
+        kept = twin.control(q=[math.nan, 0], u=[0, 0], last=last)
         kept.value[0] = 99.0
         assert last.tolist() == [3.0, 4.0]
-        good = twin.control(u=[1.0, 0.0], last=last)
+        good = twin.control(q=[0, 0], u=[1.0, 0.0], last=last)
         assert good.info.status == sg.Status.OK
         assert not np.array_equal(good.value, last)
 

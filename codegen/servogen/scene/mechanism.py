@@ -11,7 +11,7 @@ from servogen.scene.known import Gauge, KnownRates
 from servogen.scene.polylines import polylines
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mechanism:
     """A model in first-order form, Bajodah, Hodges and Chen (2004), Eqs. (1)-(2).
 
@@ -65,6 +65,10 @@ class Mechanism:
             expression = getattr(self, name)
             if expression is not None and ca.depends_on(expression, self.tau):
                 raise SceneError(f"{name} depends on tau; the controls enter the model through G tau only, Eq. (2)")
+
+    def __repr__(self) -> str:
+        named = (("q", self.q), ("u", self.u), ("tau", self.tau))
+        return f"<Mechanism: {'; '.join(f'{n} = ' + ', '.join(e.name() for e in s.nonzeros()) for n, s in named)}>"
 
     @property
     def q_dot(self) -> Any:

@@ -29,7 +29,7 @@ State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
 
@@ -89,6 +89,12 @@ class Scene:
         _check_symbols(self)
         _check_operations(self)
         _check_domain(self)
+
+    def __repr__(self) -> str:
+        names = ", ".join(repr(c.name) for c in self.constraints)
+        return (
+            f"<Scene {self.name!r} ({self.kind}): {self.rows} rows of constraints ({names}), {self.controls} controls>"
+        )
 
     @property
     def kind(self) -> Kind:

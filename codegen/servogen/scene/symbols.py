@@ -1,7 +1,7 @@
 """Runtime parameters and references: named SX symbols with defaults, units and texts."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,6 +56,22 @@ class Field:
         return len(self.default)
 
 
+def _table(kind: str, fields: Iterable[Field]) -> str:
+    """As a notebook shows them (Markdown)."""
+    rows = [f"| `{f.name}` | {_numbers(f)} | {f.unit} | {f.text.replace('|', '&#124;')} |" for f in fields]
+    return "\n".join([f"| {kind} | default | unit | meaning |", "|---|---|---|---|", *rows])
+
+
+def _summary(kind: str, fields: Iterable[Field]) -> str:
+    said = (f"{f.name}={_numbers(f)}" + (f" {f.unit}" if f.unit else "") for f in fields)
+    return f"{kind}({', '.join(said)})"
+
+
+def _numbers(field: Field) -> str:
+    numbers = ", ".join(f"{x:g}" for x in field.default)
+    return numbers if field.size == 1 else f"[{numbers}]"
+
+
 def _check_words(unit: object, text: object, what: str) -> None:
     for word, value in (("unit", unit), ("text", text)):
         if not isinstance(value, str):
@@ -97,6 +113,12 @@ class Parameters:
         if name in fields:
             return fields[name].symbol
         raise AttributeError(f"no parameter {name!r}; there are {', '.join(fields) or 'none'}")
+
+    def __repr__(self) -> str:
+        return _summary("Parameters", self)
+
+    def _repr_markdown_(self) -> str:
+        return _table("parameter", self)
 
     def __iter__(self) -> Iterator[Field]:
         return iter(self._fields.values())
@@ -145,6 +167,12 @@ class References:
         if name in fields:
             return fields[name].symbol
         raise AttributeError(f"no reference {name!r}; there are {', '.join(fields) or 'none'}")
+
+    def __repr__(self) -> str:
+        return _summary("References", self)
+
+    def _repr_markdown_(self) -> str:
+        return _table("reference", self)
 
     def __iter__(self) -> Iterator[Field]:
         return iter(self._fields.values())

@@ -213,6 +213,9 @@ class CompiledSolver:
         integers = [(name, "i4") for name in ("status", "path", "rank", "sweeps")]
         self._info_type = np.dtype([*integers, ("sigma_min", real), ("residual", real)], align=True)
 
+    def __repr__(self) -> str:
+        return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"
+
     def solve(self, S: Any, z: Any, y: Any = None, last: Any = None) -> tuple[FloatArray, Info]:
         """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front."""
         S, many = self._stack(S, (self.m, self.l), "S")

@@ -3,14 +3,20 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
-from servogen.scene.scene import Scene
+from servogen.scene.constraints import expression_of
+from servogen.scene.scene import Scene, expressions
+
+_OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
+"""Functions that need no model."""
 
 _QUANTITIES = {
     "psi": "The constraints' values, shape (m,).",
@@ -29,8 +35,9 @@ _QUANTITIES = {
 class Twin(ABC):
     """A scene's controller. Inputs go by keyword: q, u, t, tau, y and the references, each a number or a list.
 
-    A keyword the scene knows but does not use is accepted, an unknown one is a TypeError, a missing one takes its
-    default (references) or zero. Functions that are not a scene's own (S for a controls-involved scene, say) are
+    A keyword the scene knows but does not use is accepted, an unknown one is a TypeError. So is a state (q, u) left out
+    that the scene uses (psi, phi, A and project: that its constraints use); other inputs left out take their default
+    (references) or zero (t, tau, y). Functions that are not a scene's own (S for a controls-involved scene, say) are
     AttributeErrors. Matrices have shape (rows, columns), vectors (rows,); NaN where the code leaves outputs untouched.
     """
 
@@ -55,6 +62,12 @@ class Twin(ABC):
             values[name] = _sized(given, fields[name].size, name)
         return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
 
+    def __repr__(self) -> str:
+        inputs = ", ".join(f"{f.name} ({f.size})" for f in self.scene.input_fields())
+        parameters = ", ".join(f.name for f in self.scene.parameters) or "none"
+        kind = type(self).__name__
+        return f"<{kind} of {self.scene.name!r}, {self.scalar}: inputs {inputs}; parameters {parameters}>"
+
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
         if name in _QUANTITIES:
@@ -71,18 +84,18 @@ class Twin(ABC):
 
     def _function_of(self, name: str) -> Callable[..., FloatArray]:
         def quantity(**inputs: Any) -> FloatArray:
-            return self._evaluate(name, self.read_inputs(inputs))
+            return self._evaluate(name, self.read_inputs(inputs, name))
 
         quantity.__name__, quantity.__doc__ = name, _QUANTITIES[name]
         return quantity
 
     def _project_(self, *, last: Any = None, **inputs: Any) -> Control:
         """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs), self._last(last))
+        return self._control("project", self.read_inputs(inputs, "project"), self._last(last))
 
     def _step_(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
         """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs), self._last(last), float(dt))
+        return self._control("step", self.read_inputs(inputs, "step"), self._last(last), float(dt))
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
@@ -94,10 +107,10 @@ class Twin(ABC):
 
     def control(self, *, last: Any = None, **inputs: Any) -> Control:
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
-        return self._control("control", self.read_inputs(inputs), self._last(last))
+        return self._control("control", self.read_inputs(inputs, "control"), self._last(last))
 
-    def read_inputs(self, given: dict[str, Any]) -> dict[str, FloatArray]:
-        """Every input of the scene as an array (size,)."""
+    def read_inputs(self, given: dict[str, Any], function: str = "control") -> dict[str, FloatArray]:
+        """Every input of the scene as an array (size,). TypeError where a state that the function needs is missing."""
         scene = self.scene
         fields = {f.name: f for f in scene.input_fields()}
         sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
@@ -106,9 +119,31 @@ class Twin(ABC):
         values = {}
         for name, value in given.items():
             if name not in sizes:
-                raise TypeError(f"no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
+                raise TypeError(f"{function}: no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
             values[name] = _sized(value, sizes[name], name)
+        missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
+        if missing:
+            raise TypeError(
+                f"{function}: {' and '.join(missing)} of scene {scene.name!r} is left out; give every state by keyword"
+            )
         return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+
+    def _needed(self, function: str) -> tuple[str, ...]:
+        """Those of q and u without which a function has no meaning."""
+        return self._states["constraints" if function in _OF_CONSTRAINTS_ALONE else "scene"]
+
+    @cached_property
+    def _states(self) -> dict[str, tuple[str, ...]]:
+        """Those of q and u that the constraints use, and that the scene does; q' belongs to a constraint on q."""
+        mech, parts = self.scene.mechanism, expressions(self.scene)
+        constraints = [expression_of(c) for c in self.scene.constraints]
+        if any(ca.depends_on(e, mech.q) for e in constraints):
+            parts["q'"] = mech.q_dot
+
+        def used(found: list[Any]) -> tuple[str, ...]:
+            return tuple(n for n in ("q", "u") if any(ca.depends_on(e, getattr(mech, n)) for e in found))
+
+        return {"constraints": used(constraints), "scene": used(list(parts.values()))}
 
     def _last(self, last: Any) -> FloatArray:
         value = np.zeros(self.scene.controls) if last is None else _sized(last, self.scene.controls, "last")
