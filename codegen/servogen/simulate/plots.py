@@ -39,7 +39,7 @@ _STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
-METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8"}
+METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8", "mujoco": "MuJoCo"}
 
 Panel = Callable[[Any], None]
 
