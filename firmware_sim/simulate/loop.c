@@ -77,6 +77,9 @@ static int step(sim_loop *loop, real t, real h)
     real *stage = loop->work + method->stages * n;
     const real *a = method->a;
     int s;
+    if (system->advance != NULL) {
+        return system->advance(system->scene, h, loop->x, &loop->stop);
+    }
     for (s = 0; s < method->stages; ++s) {
         combine(loop->x, h, a, s, slopes, n, stage);
         if (system->rate(system->scene, t + method->c[s] * h, stage, slopes + s * n, &loop->stop)) {

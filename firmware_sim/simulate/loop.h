@@ -55,6 +55,10 @@ typedef struct {
 enum { SIM_RK4 = 0, SIM_DOP8 = 1, SIM_METHODS = 2 };
 extern const sim_method sim_methods[SIM_METHODS];
 
+/* Physics from elsewhere, a simulator that nobody here wrote: q and u, the n reals at x, after h seconds under the
+   controls tau, which are held. Nonzero where it broke down. */
+typedef int (*sim_physics)(void *world, real h, const real *tau, real *x);
+
 /* One scene's closed loop. Each function returns 0, or nonzero with reason and detail of *stop set. */
 typedef struct {
     void *scene; /* handed to the functions */
@@ -65,6 +69,8 @@ typedef struct {
     int (*sample)(void *scene, uint32_t k, real t, const real *x, sim_row *row, sim_stop *stop);
     /* before the substep-th of the substeps that follow the k-th grid point, but for the first; NULL if nothing is due */
     void (*between)(void *scene, uint32_t k, uint32_t substep);
+    /* x after a substep of h in place of the method; NULL where the method integrates */
+    int (*advance)(void *scene, real h, real *x, sim_stop *stop);
     /* SIM_EVENT where a stop expression is <= 0 */
     int (*event)(void *scene, const sim_row *row, sim_stop *stop);
 } sim_system;

@@ -15,9 +15,11 @@ from servogen.errors import SceneError
 from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
+from servogen.scene.scene import Scene
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
 from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitudes
+from servogen.simulate.mujoco_plant import MujocoLoop
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
@@ -58,6 +60,12 @@ from servogen.verify.harness import targets
 @click.option("--quantise", multiple=True, metavar="NAME=NUMBERS", help="Steps that readings come in, q=1e-3.")
 @click.option("--delay", type=float, metavar="SECONDS", help="From reading to acting.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Of the noise.")
+@click.option(
+    "--mujoco",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="An MJCF or URDF file: MuJoCo's physics as the plant, with one tick of the controller a step.",
+)
 @click.option("--no-project", is_flag=True, help="Start from tau as given, even if phi is not zero there.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder; default ./simulation/<scene's name>/."
@@ -83,6 +91,7 @@ def simulate_command(
     quantise: Sequence[str],
     delay: float | None,
     seed: int | None,
+    mujoco: Path | None,
     no_project: bool,
     out: Path | None,
     no_plots: bool,
@@ -124,9 +133,10 @@ def simulate_command(
             "project": not no_project,
             **machine,
         }
-        trajectory = ClosedLoop(loaded, simulation, scalar).run(
-            **given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps")
-        )
+        loop = _loop(loaded, simulation, scalar, mujoco, method, target)
+        for line in () if as_json else _differences(loop):
+            click.echo(f"MuJoCo: {line}")
+        trajectory = loop.run(**given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps"))
         differing = 0
         if target != "host":
             advance(0, 1, f"{loaded.name}: the same on {target}")
@@ -140,6 +150,7 @@ def simulate_command(
     summary = _summary(trajectory, scalar) | {
         "target": target,
         "rows_unlike_the_hosts": differing,
+        "mujoco": None if mujoco is None else {"model": str(mujoco), "differences": _differences(loop)},
         "units": dict(simulation.units),
         "machine": machine_in_words(on),
     }
@@ -148,6 +159,23 @@ def simulate_command(
     else:
         _show(trajectory, summary, changed, files)
     click.get_current_context().exit(GOOD if trajectory.verdict.held and not differing else FAILED)
+
+
+def _loop(
+    scene: Scene, simulation: Simulation, scalar: Scalar, mujoco: Path | None, method: str | None, target: str
+) -> ClosedLoop:
+    """The loop of generated C, or with MuJoCo as its plant, and then what differs is told before it runs."""
+    if mujoco is None:
+        return ClosedLoop(scene, simulation, scalar)
+    if target != "host":
+        raise SceneError(f"--mujoco runs on this machine; leave out --target {target}")
+    if method is not None:
+        raise SceneError("--mujoco integrates as its model says (<option integrator>); leave out --method")
+    return MujocoLoop(scene, simulation, mujoco, scalar)
+
+
+def _differences(loop: ClosedLoop) -> tuple[str, ...]:
+    return loop.differences if isinstance(loop, MujocoLoop) else ()
 
 
 def _assignments(given: Sequence[str], option: str, sizes: Mapping[str, int]) -> dict[str, FloatArray]:

@@ -45,7 +45,8 @@ class KnownRates:
     """What is known about the expressions of one mechanism; grows as the user asks for them.
 
     Entries are recognised by their SX node, not by their form: an expression that CasADi has rewritten beyond
-    recognition is differentiated like any other. gauge: None where `at_gauge` is never to be used.
+    recognition is differentiated like any other. gauge: None where `at_gauge` is never to be used. frames: by name,
+    position (3) and rotation (3 x 3) of a robot's frames that were asked for, in the world.
     """
 
     gauge: Gauge | None = None
@@ -53,6 +54,7 @@ class KnownRates:
     def __init__(self) -> None:
         self._of_q: dict[int, tuple[Any, Known, int]] = {}
         self._of_u: dict[int, tuple[Any, Known, int]] = {}
+        self.frames: dict[str, tuple[Any, Any]] = {}
 
     def add(
         self,

@@ -229,7 +229,10 @@ class ClosedLoop:
         record = _Record(*sizes, steps + 1, 0, rows.ctypes.data, marks.ctypes.data)
         reals = _structs(self.scalar)
         given = reals.Setup(
-            *(a.ctypes.data for a in setup.arrays.values()), *setup.reals.values(), *setup.numbers.values()
+            *(a.ctypes.data for a in setup.arrays.values()),
+            *setup.reals.values(),
+            *setup.numbers.values(),
+            self._physics(setup),
         )
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
@@ -242,6 +245,10 @@ class ClosedLoop:
                 progress(record.used - 1, steps)
             if reason != 0:
                 return rows[: record.used], marks[: record.used], self._stop(stop.reason, stop.detail, stop.t)
+
+    def _physics(self, setup: Setup) -> Any:
+        """A C function in the place of the plant (sim_physics of firmware_sim/simulate/loop.h); None for the plant."""
+        return None
 
     def _call(self, name: str, *args: Any, restype: Any = ct.c_int) -> Any:
         function = getattr(self._library, f"{self._prefix}_{name}")
@@ -351,8 +358,10 @@ def _structs(scalar: Scalar) -> Any:
     counts = [(n, ct.c_uint32) for n in ("substeps", "steps", "row_every", "tick_every", "delay", "seed")]
     flags = [(n, ct.c_int) for n in ("method", "hold", "project")]
 
+    elsewhere = [(n, ct.c_void_p) for n in ("physics", "world")]
+
     class Structs:
-        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, *times, *counts, *flags]})
+        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, *times, *counts, *flags, *elsewhere]})
         Stop = type("Stop", (ct.Structure,), {"_fields_": [("reason", ct.c_int), ("detail", ct.c_int), ("t", real)]})
 
     return Structs

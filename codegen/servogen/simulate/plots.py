@@ -54,7 +54,7 @@ _NARROW = _STYLE | {
 }
 """At 4 inches: text that can be read on a telephone, where such a figure is as wide as the screen."""
 
-METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8"}
+METHOD_NAMES = {"rk4": "RK4", "dop8": "Dormand-Prince 8", "mujoco": "MuJoCo"}
 
 Panel = Callable[[Any], None]
 

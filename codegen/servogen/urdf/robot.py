@@ -204,6 +204,7 @@ class Robot:
             position = column(plus(self._base.position, self._base.to_world(arm)))
             axes = [column(axis) for axis in placement.frame_axes(self._axes, frame)]
             rotation = ca.mtimes(self._base_rotation, ca.horzcat(*axes))
+            self._known.frames[name] = position, rotation
             self._poses[name] = position, rotation, self._make_known(frame, position, rotation, axes)
         return self._poses[name]
 
