@@ -1,4 +1,4 @@
-"""Exact rational truth for the pseudo-inverse: floating-point inputs are dyadic rationals (NUMERICS: Truth)."""
+"""Exact rational truth for the pseudo-inverse: floating-point inputs are dyadic rationals (numerics.md: Truth)."""
 
 from typing import Any
 

@@ -12,7 +12,7 @@ from servogen.results import FloatArray
 def pseudo_solution(
     S: FloatArray, z: FloatArray, y: FloatArray, rank: int, damping: float | None
 ) -> tuple[list[Any], float]:
-    """(tau, kappa): tau = y + S_r+ (z - S_r y) of the `rank` largest singular values, damped as NUMERICS has it.
+    """(tau, kappa): tau = y + S_r+ (z - S_r y) of the `rank` largest singular values; numerics.md: Damping.
 
     S: (m, l), z: (m,), y: (l,), all exact. kappa: the condition of what was kept.
     """

@@ -13,8 +13,8 @@ static const real rk4_a[] = {
 static const real rk4_b[] = {R(1) / R(6), R(1) / R(3), R(1) / R(3), R(1) / R(6)};
 static const real rk4_c[] = {R(0), R(0.5), R(0.5), R(1)};
 
-/* The method of order eight and twelve stages of Dormand and Prince, as in DOP853 of Hairer, Norsett and Wanner,
-   Solving Ordinary Differential Equations I (1993), without its error estimate. */
+/* The method of order eight and twelve stages of Dormand and Prince, as in DOP853 of Hairer, Norsett and Wanner (1993),
+   without its error estimate. */
 static const real dop8_a[] = {
     R(0.05260015195876773),
     R(0.0197250569845379), R(0.0591751709536137),

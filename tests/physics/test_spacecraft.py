@@ -132,7 +132,7 @@ def test_y_zero_chatters_faster_and_faster_and_y_minus_tau_does_not(chattering, 
 
 
 def test_coarse_steps_lose_the_chatter_and_say_so(chattering):
-    """RK4 at 1e-3 s loses K by 5 s (PAPER.md); the run must end with a status, not with nonsense."""
+    """RK4 at 1e-3 s loses K by 5 s, for the chatter outruns it; the run must end with a status, not with nonsense."""
     run = chattering.run(start=START, duration=10.0, step=1e-3)
     assert 0.05 < off_decay(run)[np.searchsorted(run.t, 5.0 - 1e-9)] < 1.0
     assert run.stop.failed

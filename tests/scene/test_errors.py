@@ -1,4 +1,4 @@
-"""Every error at generation names the thing and the remedy (API: Errors at generation)."""
+"""Every error at generation names the thing and the remedy."""
 
 import re
 import warnings

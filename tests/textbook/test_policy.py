@@ -1,4 +1,4 @@
-"""Two writings of NUMERICS' thresholds, the plan's and the textbook's: a wrong factor in either shows here."""
+"""Two writings of the thresholds of numerics.md, the plan's and the textbook's: a wrong factor in either shows here."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The twins' contract (API: Twin): keywords, shapes, prepare, last, and what a negative status leaves alone."""
+"""The twins' contract: keywords, shapes, prepare, last, and what a negative status leaves alone."""
 
 import ctypes as ct
 import math

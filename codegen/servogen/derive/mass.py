@@ -236,8 +236,7 @@ def _solve_ldlt(Q: Any, right: Any) -> tuple[Any, MassTreatment]:
 def _elimination_order(Q: Any, right: Any) -> list[int]:
     """First to last, or last to first, whichever takes fewer operations.
 
-    Of a tree numbered from the root, the latter fills no zero entry: Featherstone, Rigid Body Dynamics Algorithms
-    (2008), Section 6.5.
+    Of a tree numbered from the root, the latter fills no zero entry: Featherstone (2008), Section 6.5.
     """
     n = Q.size1()
     forward = list(range(n))

@@ -1,4 +1,4 @@
-"""A prime field to evaluate programs in: equal values at random points mean equal expressions (Schwartz, Zippel)."""
+"""A prime field to evaluate programs in: equal values at random points mean equal expressions (Schwartz 1980)."""
 
 import hashlib
 from functools import lru_cache

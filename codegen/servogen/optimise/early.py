@@ -1,6 +1,8 @@
-"""What parameters alone decide, as a program of its own: there every operation counts, and parameters are the atoms.
+"""The part of a program that depends on parameters alone, cut out so that it can be optimised by itself.
 
-The search at tick leaves it in the form in which terms at tick were gathered: I_1 - I_2 - 2 I_1 I_2 / I_2 + ...
+It is computed once, in prepare, so the search that optimises the tick hardly counts its operations and leaves behind
+whatever was convenient to gather there, such as I_1 - I_2 - 2 I_1 I_2 / I_2 + ... A second search over this part alone,
+in which every operation counts and nothing but parameters goes in, puts it in order.
 """
 
 from dataclasses import replace
@@ -12,7 +14,11 @@ _VALUES = "values"
 
 
 def early_part(program: Program) -> Program | None:
-    """The computed values of parameters alone that the tick or an output takes, as one output; None without any."""
+    """A program that computes from parameters alone what the tick needs of them; None where it needs nothing computed.
+
+    Its one output lists the values: those depending on parameters alone that an instruction of the tick, or an output
+    of the program, reads. A parameter that is read as it is needs no computing and is not among them.
+    """
     early = depends_on_parameters_alone(program)
     handed_over = _handed_over(program, early)
     if not handed_over:
@@ -23,7 +29,10 @@ def early_part(program: Program) -> Program | None:
 
 
 def with_early_part(program: Program, part: Program) -> Program:
-    """The program with the values of `early_part` computed as `part` has them."""
+    """The program again, its values of `early_part` now computed by the instructions of `part`.
+
+    part: the program that early_part made of this one, optimised; its output still lists the values in their order.
+    """
     early = depends_on_parameters_alone(program)
     number = dict(zip(_handed_over(program, early), part.output(_VALUES).nodes, strict=True))
     instrs = list(part.instrs)
@@ -36,6 +45,7 @@ def with_early_part(program: Program, part: Program) -> Program:
 
 
 def _handed_over(program: Program, early: tuple[bool, ...]) -> list[int]:
+    """The instructions, inputs aside, that depend on parameters alone and are read by the tick or are outputs."""
     taken = {a for k in needed(program) if not early[k] for a in program.instrs[k].args} | {
         n for o in program.outputs for n in o.nodes
     }

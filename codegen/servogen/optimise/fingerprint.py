@@ -179,7 +179,7 @@ class Fingerprints:
     def false_equality(self, count: int) -> float:
         """A bound on the chance that any comparison among `count` values finds unequal expressions equal.
 
-        Two of degree d agree at a random point with chance at most 2 d / p (Schwartz and Zippel), so at all of them
+        Two of degree d agree at a random point with chance at most 2 d / p (Schwartz 1980), so at all of them
         with that to the power POINTS; value numbering and resubstitution compare fewer than 64 count^3 pairs.
         """
         if 2 * self.degree >= PRIME:

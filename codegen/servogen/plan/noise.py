@@ -1,12 +1,17 @@
-"""The rounding noise of a matrix's rows where they vanish: the default of the solver's `atol` (NUMERICS: Tolerances).
+"""The noise that rounding leaves of a row where it vanishes: the solver's default `atol` (numerics.md: Tolerances).
 
-At q = pi/2 the code's cos(q) is 6e-17: exact for that double, and yet noise, by which nothing must be divided. The
-zeros of a row are found by regularised Gauss-Newton (Levenberg-Marquardt) from states of the domain, moving all inputs
-together within its box.
+A row such as [cos(q), 0] is zero at q = pi/2, where the constraint does not reach the controls. The number type has no
+pi/2, so the computed row is 6e-17 there instead of zero, and a controller that divides by it asks for torques of 1e16.
+What is left of a row at its zeros is therefore taken as its noise, and the solver treats a row that small as zero.
 
-The same on every host: the last bits of its sin and cos move a zero, and so the noise there, by last bits. That makes
-another power of two only next to one, and the margin before rounding up, irrational as a factor, keeps what is exact, a
-few ulps of a round number, well away from there.
+First the zeros are searched for: from states of the domain, Gauss-Newton steps that make the row smaller, with the
+regularisation of Levenberg (1944) and Marquardt (1963), all inputs moving at once within the domain's box. Then the
+rounding errors of the row at each zero are bounded.
+
+The result must not depend on the machine that generates the code, although its sine and cosine may differ in their last
+bits. Such a difference changes the noise by a relative 1e-16, which matters only if the noise is that close to a power
+of two, where it is rounded up to the next. Noise often is a few ulps of a round number, and so exactly a power of two;
+it is multiplied by the irrational 2^MARGIN before it is rounded up, so that these cases are far from a power of two.
 """
 
 import math
@@ -27,45 +32,53 @@ from servogen.scene.scene import Scene, State
 Numbers = NDArray[np.int64]
 
 STARTS = 32
-"""Starts for each row."""
+"""States of the domain from which the search for zeros of a row starts."""
 
 DRAWN = 256
-"""States whose bounding box stands for a domain that is a callable."""
+"""States drawn of a domain that is given as a function; their bounding box is taken for the domain's."""
 
 STEPS = 32
-"""Steps at most; at a double zero, each gains one bit of the place."""
+"""The most steps of one search. At a double zero (where the slope vanishes too) a step halves the distance only."""
 
 PATIENCE = 4
-"""Steps in a row that may fail to halve a row. Even at a zero of high order, steps come to shrink it to 1/e."""
+"""A search is given up after this many steps, one after another, that did not halve the row.
+
+Towards a zero of order p each step shrinks the row to (1 - 1/p)^p of its size, which is never above 1/e.
+"""
 
 FLOOR = 2.0**-30
-"""The least regularisation, relative to the largest entry of J J^T: entries of a row may depend on each other."""
+"""The least regularisation, relative to the largest entry of J J^T.
+
+The entries of a row may depend on one another (cos(q) and 2 cos(q)); J J^T is then singular, and this keeps it regular.
+"""
 
 NEAR = 2.0
-"""A row within NEAR times its noise has vanished."""
+"""A row whose largest entry is at most NEAR times its noise counts as zero there."""
 
 MARGIN = 0.25
-"""Powers of two added before rounding up."""
+"""Added to the binary logarithm of the noise before it is rounded up to an integer: a factor of 2^(1/4)."""
 
 
 def row_noise(scene: Scene, program: Program, matrix: str, scalar: Scalar) -> tuple[float, ...]:
-    """Per row of the program's output `matrix`: a power of two at or above the noise of its largest entry at zeros.
+    """Per row of the program's output `matrix`: what the row may come out as where it should be zero, a power of two.
 
-    Noise is first-order: every operation's rounding, and half an ulp of every input and parameter, times the entry's
-    derivative. 0 for a row without a zero in the domain's box, and for one whose noise vanishes with it. Parameters
-    are at their defaults.
+    The noise of an entry is its rounding error to first order: the rounding of every operation, and half an ulp of
+    every input and parameter, each times the derivative of the entry by it. A row's noise is that of its worst entry
+    at the worst zero. It is 0 for a row that has no zero in the domain's box, and for a row whose noise vanishes with
+    it, because such a row is accurate however small it is. Parameters are at their defaults.
     """
     rows, row, x = _zeros(scene, program, matrix)
     noise = rows.noise(row, x, scalar)
     largest = [float(np.max(noise[row == i], initial=0.0)) for i in range(rows.count)]
-    limit = float(np.finfo(scalar).max) / 4  # noise beyond is that of rows which overflow
+    limit = float(np.finfo(scalar).max) / 4  # noise as large as this belongs to a row that overflows
     return tuple(2.0 ** math.ceil(math.log2(n) + MARGIN) if 0 < n < limit else 0.0 for n in largest)
 
 
 class _Rows:
     """The rows of a matrix (count x columns) as functions of the F inputs that they depend on; parameters are fixed.
 
-    N states each belong to one row: row (N,), x (N, F).
+    Searches for zeros of all rows run side by side. Search k of N is about one row, row[k], and has come to the input
+    values x[k]: row (N,), x (N, F).
     """
 
     def __init__(self, scene: Scene, program: Program, matrix: str) -> None:
@@ -78,12 +91,12 @@ class _Rows:
         self._base = {i.name: fixed.get(i.name, np.zeros(i.size)) for i in self._part.inputs}
 
     def pick(self, states: State) -> FloatArray:
-        """The inputs of states, name -> (N, size), as x."""
+        """The values of the F inputs in N states, (N, F); states: name -> (N, size)."""
         count = len(next(iter(states.values())))
         return np.array([states[name][:, k] for _, (name, k) in self._inputs]).reshape(-1, count).T
 
     def at(self, row: Numbers, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Entries (N, columns) and their derivatives (N, columns, F)."""
+        """Of each search, the entries of its row (N, columns) and their derivatives by the inputs (N, columns, F)."""
         values = self._values(x)
         entries = np.zeros((len(row), self.columns))
         slopes = np.zeros((len(row), self.columns, x.shape[1]))
@@ -99,14 +112,14 @@ class _Rows:
         return entries, slopes
 
     def noise(self, row: Numbers, x: FloatArray, scalar: Scalar) -> FloatArray:
-        """The first-order bound of the noise of the largest entry, (N,)."""
+        """Of each search, a bound of the rounding error of its row's worst entry, to first order, (N,)."""
         if not len(row):
             return np.zeros(0)
         values = self._values(x)
         local = local_errors(self._part, values, scalar)
         for k, instr in enumerate(self._part.instrs):
             if isinstance(instr.const, tuple):
-                local[k] = EPSILON[scalar] / 2 * np.abs(values[k])
+                local[k] = EPSILON[scalar] / 2 * np.abs(values[k])  # an input is known to half an ulp
         total = np.zeros((self.columns, len(row)))
         with np.errstate(all="ignore"):
             for node, weight in adjoints(self._part, partials(self._part, values), self._seeds(row)):
@@ -120,7 +133,7 @@ class _Rows:
         return node_values(self._part, states)
 
     def _seeds(self, row: Numbers) -> dict[int, FloatArray]:
-        """Instruction -> (columns, N): 1 where it is that entry of the state's row."""
+        """Where the reverse sweep starts: instruction -> (columns, N), 1 where it is that entry of the row searched."""
         seeds: dict[int, FloatArray] = {}
         for place, node in enumerate(self._part.outputs[0].nodes):
             i, j = divmod(place, self.columns)
@@ -129,9 +142,12 @@ class _Rows:
 
 
 @lru_cache(maxsize=32)
-@np.errstate(all="ignore")  # states where the matrix does not exist drop out
+@np.errstate(all="ignore")  # at some states the matrix is NaN or infinite; their searches end and are not kept
 def _zeros(scene: Scene, program: Program, matrix: str) -> tuple[_Rows, Numbers, FloatArray]:
-    """The rows, and zeros of them (row, x) in the domain's box at which the noise does not vanish, in float64."""
+    """The rows, and the zeros found of them (row, x) in the domain's box at which their noise does not vanish, too.
+
+    All in float64: a zero lies where it lies, whatever the number type of the generated code.
+    """
     rows = _Rows(scene, program, matrix)
     drawn = draw_states(scene, DRAWN, seed=4)
     low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in domain_box(scene, drawn).items()}) for side in (0, 1))
@@ -150,7 +166,10 @@ def _zeros(scene: Scene, program: Program, matrix: str) -> tuple[_Rows, Numbers,
 def _descend(
     rows: _Rows, row: Numbers, x: FloatArray, low: FloatArray, high: FloatArray, vanished: FloatArray
 ) -> tuple[Numbers, FloatArray, FloatArray]:
-    """Where the steps end, (row, x, largest entry): within `vanished` (per row), or when they do not help any more."""
+    """Where the searches end: (row, x, the row's largest entry there).
+
+    A search ends when its row is at most `vanished` (given per row), when steps no longer help, or after STEPS.
+    """
     width = high - low
     entries, slopes = rows.at(row, x)
     norm = np.linalg.norm(entries, axis=1)

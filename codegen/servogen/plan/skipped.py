@@ -1,4 +1,9 @@
-"""What a scene does not need, by entry point, with the reason: DESIGN section 4's four times, in their order."""
+"""What the code of each entry point does without, and why: the lines "skipped" of the manifest and of the report.
+
+Work can be saved at four times, and the lines come in this order: when the scene was derived (the model has no D, say),
+when the program was optimised, when the module was planned (what parameters decide moves to prepare), and at each tick
+(a certificate proves that the SVD is not needed).
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +26,10 @@ def what_is_skipped(
     inputs: Sequence[StructField],
     staged: Staged,
 ) -> dict[str, tuple[str, ...]]:
-    """Lines "what: why" for each entry point of the system and for control; inputs: those that are left."""
+    """Lines "what: why" by entry point: those that hand out the system's matrix or right side, and control.
+
+    inputs: the fields of the input struct, which are the inputs that some output depends on.
+    """
     system = formulation.scene.system
     of_the_system = {system.matrix, system.right}
     parts_of = {"_".join(names): names for names in law.entries if set(names) <= of_the_system}
@@ -38,7 +46,7 @@ def what_is_skipped(
 
 
 def _derived(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> list[str]:
-    """When the scene was derived: what the model has not, and the inverse of Q."""
+    """What derivation left out: terms that the model does not have, and the inverse of Q."""
     mechanism = formulation.scene.mechanism
     lines = list(_about_mass(formulation, optimised, parts))
     if mechanism.C is None:
@@ -51,7 +59,11 @@ def _derived(formulation: Formulation, optimised: SceneProgram, parts: Sequence[
 
 
 def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequence[str]) -> tuple[str, ...]:
-    """How an entry point that hands out `parts` gets by without the inverse of Q."""
+    """How an entry point that hands out `parts` does without the inverse of Q.
+
+    Where optimisation has cancelled the solve with Q from these parts, Q is neither factorised nor tested; else the
+    reason says which factorisation stands in for the inverse.
+    """
     needing = {q.name for q in formulation.quantities if q.needs_mass} & set(parts)
     if not formulation.mass.pivots or not needing or not needing <= optimised.free_of_mass:
         return (f"inverse of Q: {formulation.mass.reason}",)
@@ -63,7 +75,7 @@ def _about_mass(formulation: Formulation, optimised: SceneProgram, parts: Sequen
 
 
 def _optimised(optimised: SceneProgram, parts: tuple[str, ...]) -> list[str]:
-    """When the program was optimised: how many operations went; and the rewrites that were refused."""
+    """What optimisation left out: how many operations, and its remarks (rewrites refused for their rounding, say)."""
     before, left = (_operations(program, parts) for program in (optimised.exact, optimised.program))
     lines = [f"{before - left} of {before} operations: fewer give the same values"] if left < before else []
     return [*lines, *optimised.remarks]
@@ -74,7 +86,7 @@ def _operations(program: Program, parts: tuple[str, ...]) -> int:
 
 
 def _planned(formulation: Formulation, inputs: Sequence[StructField], staged: Staged) -> list[str]:
-    """When the module was planned: inputs that nothing reads, and what prepare does once."""
+    """What planning left out of the tick: inputs on which no output depends, and operations that prepare does once."""
     left = {i.name for i in inputs}
     lines = [f"{f.name}: no output depends on it" for f in formulation.scene.input_fields() if f.name not in left]
     early = staged.prepare.operations()["total"]
@@ -82,7 +94,7 @@ def _planned(formulation: Formulation, inputs: Sequence[StructField], staged: St
 
 
 def _of_the_solver(formulation: Formulation, known: Known | None, solver: SolverPlan) -> list[str]:
-    """What the solver leaves out: when it was planned, and at each tick where a certificate allows it."""
+    """What the solver does without, always or (the SVD) at each tick at which a certificate allows it."""
     matrix = formulation.scene.system.matrix
     lines = []
     if known is not None:

@@ -1,4 +1,4 @@
-"""The plan of one pseudo-inverse: every number and choice the C templates print (NUMERICS: the ladder, tolerances).
+"""The plan of one pseudo-inverse: every number and choice the C templates print (numerics.md: The ladder).
 
 Three kinds, by shape: "row" (m = 1) and "column" (l = 1) are closed forms; "full" is the ladder of certified normal
 equations, certified pivoted QR and the SVD of its triangle.
@@ -29,7 +29,8 @@ BLOCK = 4
 """Sums run in this many parts, and vectors are padded to whole blocks: SIMD and scalar machines add up alike."""
 
 ROUNDING = 4
-"""c = ROUNDING l of NUMERICS' certificate: u times this covers the rounding of a product or a Gram-Schmidt."""
+"""eps times ROUNDING times the vectors' length covers the rounding of a product or a Gram-Schmidt (numerics.md:
+Certificates)."""
 
 NORMAL_SHARE = 1.0
 """NORMAL holds up to bound = NORMAL_SHARE u^(-2/3), kappa about 1e5 in float64 and 2e2 in float32."""
@@ -272,7 +273,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
 
 
 def _certificates(m: int, l: int, count: int, u: float, rtol: float) -> dict[str, Any]:
-    """Limits of the certificates (NUMERICS: Certificate), with margins for the rounding of the bound itself."""
+    """Limits of the certificates (numerics.md: Certificates), with margins for the rounding of the bound itself."""
     total = 4 * m  # above the squared norm of S with the length of each row in [1, 2)
     rounding = ROUNDING * l * count * u
     # refined once, NORMAL's error is (u bound)^2 + u kappa: accepted where the first is the smaller

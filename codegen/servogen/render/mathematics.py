@@ -1,4 +1,4 @@
-"""Every number in the templates of math/: own sine, cosine and square root (NUMERICS: "Bit-for-bit").
+"""Every number in the templates of math/: own sine, cosine and square root (numerics.md: Bit for bit).
 
 Constants of pi are derived here; the polynomials' coefficients are derived by `minimax.py`, and a test repeats it.
 The angle is x = k pi/2 + hi + lo. Up to `near` the multiple of pi/2 is taken off in parts (Cody and Waite 1980): the

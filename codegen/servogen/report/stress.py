@@ -1,4 +1,4 @@
-"""The page of a stress run: the bars of NUMERICS with the figures reached, then every family."""
+"""The page of a stress run: the bars (numerics.md: Bars) with the figures reached, then every family."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("iterations that did not end", (CAPPED,)),
     ("shapes a compiler complains of", (COMPLAINTS,)),
 )
-"""The bars of NUMERICS, and the quantities under each."""
+"""What the page claims, each with the quantities whose bars stand for it (numerics.md: Bars)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the user may say about the pseudo-inverse (NUMERICS: ladder and tolerances)."""
+"""What the user may say about the pseudo-inverse (numerics.md: The ladder, and Tolerances)."""
 
 import math
 from collections.abc import Sequence

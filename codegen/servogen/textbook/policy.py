@@ -1,6 +1,7 @@
-"""What counts as rank, and as a row that is met: written from NUMERICS alone, so that a wrong number in the plan shows.
+"""What counts as rank, and as a row that is met, written from numerics.md: Tolerances, and Consistency.
 
-Nothing here is shared with the plan of the generated solver; its tests hold one against the other.
+A wrong number in the plan shows so: nothing here is shared with the plan of the generated solver, and tests hold one
+against the other.
 """
 
 import math

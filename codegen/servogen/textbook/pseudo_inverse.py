@@ -73,7 +73,7 @@ def counted_rows(S: FloatArray, policy: Policy) -> FloatArray:
 def symmetric_units(matrix: FloatArray) -> NDArray[np.int64]:
     """Exponents e such that 2^-(e_i + e_j) matrix_ij has no entry far above 1; about 1 on a positive diagonal.
 
-    Bunch, "Equilibration of symmetric matrices in the max-norm", J. ACM 18 (1971); 0 for a row of zeros.
+    Bunch (1971), who equilibrates symmetric matrices in the max-norm; 0 for a row of zeros.
     """
     size = np.maximum(np.abs(matrix), np.abs(matrix.T))
     power = np.where(size > 0, np.frexp(size)[1] - 1.0, -np.inf)
@@ -119,7 +119,7 @@ def _factors(S: FloatArray, policy: Policy) -> tuple[FloatArray, FloatArray, Flo
 
 
 def _filter(sigma: FloatArray, damped: bool, policy: Policy) -> FloatArray:
-    """1 / sigma, or NUMERICS' filter below eps_d: sigma / eps_d^2 (2 - (sigma / eps_d)^2)."""
+    """1 / sigma; below eps_d the filter sigma / eps_d^2 (2 - (sigma / eps_d)^2), numerics.md: Damping."""
     plain = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
     if not damped or policy.damping is None:
         return plain

@@ -1,4 +1,4 @@
-"""What every twin of a scene offers (API: Twin), and the reading of its keywords."""
+"""What every twin of a scene offers (python.md: The Python side), and the reading of its keywords."""
 
 import math
 from abc import ABC, abstractmethod

@@ -28,7 +28,7 @@ def forces(
 ) -> tuple[Vec, Vec, list[Any]]:
     """What a motion takes: force and moment at the root, then one entry per joint.
 
-    Recursive Newton-Euler, Featherstone, Rigid Body Dynamics Algorithms (2008), Table 5.1. inertias, rotors: by body,
+    Recursive Newton-Euler, Featherstone (2008), Table 5.1. inertias, rotors: by body,
     as regrouped. N, N m in the root's frame; N m or N per joint.
     """
     wrenches = [_inertial_wrench(m, i) for m, i in zip(motion, inertias, strict=True)]

@@ -27,8 +27,7 @@ class Inertia:
     """Moments of mass about a frame's origin, in its axes: linear in the mass, so that bodies add.
 
     mass: kg. first: sum of m r, kg m. second: sum of m r r^T, kg m^2; the inertia matrix is tr(second) I - second.
-    Wensing, Kim and Slotine, "Linear Matrix Inequalities for Physically Consistent Inertial Parameter Identification",
-    IEEE RA-L 3(1), 2018, Eqs. (8)-(10).
+    Wensing, Kim and Slotine (2018), (8)-(10) there.
     """
 
     mass: Fraction = ZERO

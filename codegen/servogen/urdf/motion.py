@@ -1,6 +1,6 @@
 """Velocities and accelerations of all bodies at given joint accelerations, in body frames, from the root outwards.
 
-Featherstone, Rigid Body Dynamics Algorithms (2008), Table 5.1, in the three-dimensional form of Luh, Walker and Paul.
+Featherstone (2008), Table 5.1, in the three-dimensional form of Luh, Walker and Paul (1980).
 The acceleration of the points of a body is a + U r, with U = alpha x + omega x omega x.
 """
 

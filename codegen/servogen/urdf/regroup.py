@@ -2,9 +2,9 @@
 
 About a revolute axis, masses strung along that axis look the same at every angle: the body's mass, its first moment
 along the axis and the second moment along the axis go to the parent. Along a prismatic axis the whole second moment
-does. Khalil and Dombre, Modeling, Identification and Control of Robots (2002), Section 9.4.2.
+does. Khalil and Dombre (2002), Section 9.4.2.
 A last body that is then symmetric about its axis, balanced and without products of inertia, is a rotor: only its spin
-is seen apart from the parent (a gyrostat: Wittenburg, Dynamics of Multibody Systems, 2008, Section 3.3).
+is seen apart from the parent (a gyrostat, Wittenburg (2008), Section 3.3).
 """
 
 from dataclasses import dataclass, replace

@@ -61,8 +61,8 @@ class Robot:
     def mechanism(self) -> Mechanism:
         """Q: mass matrix; P = -(bias forces); G: identity, or the joints' rows for a floating base; C for its rates.
 
-        Composite rigid bodies and recursive Newton-Euler: Featherstone, Rigid Body Dynamics Algorithms (2008),
-        Chapters 5, 6 and 9. u' of a floating base are the derivatives of the components in its own, turning axes.
+        Composite rigid bodies and recursive Newton-Euler: Featherstone (2008), Chapters 5, 6 and 9.
+        u' of a floating base are the derivatives of the components in its own, turning axes.
         """
         n, base = len(self.joints), self._base.size
         G = ca.vertcat(ca.SX(base, n), ca.SX.eye(n))

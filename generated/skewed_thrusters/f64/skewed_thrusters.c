@@ -544,8 +544,8 @@ static void skewed_thrusters_rotate(double *restrict a, double *restrict b, doub
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
-   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
+/* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
    rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
 static int skewed_thrusters_jacobi(double *t, int count, double *square)

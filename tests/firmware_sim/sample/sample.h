@@ -1,4 +1,4 @@
-/* A package written by hand after API.md: the harness proves on it that it can fail. */
+/* A package written by hand, as the generator prints them: the harness proves on it that it can fail. */
 #ifndef SAMPLE_H
 #define SAMPLE_H
 

@@ -1,7 +1,7 @@
 """Numerical stress of the solver: families of matrices against exact rationals, each figure beside its bar.
 
-`campaign` runs it, `families` are what it feeds, `truth` and `core` what it measures, `bars` what is allowed (NUMERICS:
-What the tests must show). Every system comes from the seed; a figure is the largest over its systems.
+`campaign` runs it, `families` are what it feeds, `truth` and `core` what it measures, `bars` what is allowed
+(numerics.md: Bars). Every system comes from the seed; a figure is the largest over its systems.
 """
 
 from servogen.verify.stress.bars import BARS

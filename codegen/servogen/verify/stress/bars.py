@@ -1,4 +1,4 @@
-"""The quantities of a stress run and their bars (NUMERICS: What the tests must show)."""
+"""The quantities of a stress run and their bars (numerics.md: Bars)."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""Matrices to solve: the spectra of LAPACK's dlatms, and those with names in the literature (NUMERICS: Families)."""
+"""Matrices to solve: the spectra of LAPACK's dlatms, and those with names in the literature (numerics.md: Families)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -54,7 +54,7 @@ def _kahan(m: int, l: int, generator: Generator) -> FloatArray:
 
 
 def _bidiagonal(m: int, l: int, generator: Generator) -> FloatArray:
-    """Graded, after Demmel and Kahan."""
+    """Graded, after Demmel and Kahan (1990)."""
     i, j = _grid(m, l)
     ratio = 10.0 ** -generator.uniform(0, 2)
     return np.asarray(ratio**i * ((j == i) + (j == i + 1)))
