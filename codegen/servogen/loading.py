@@ -70,13 +70,27 @@ def _load(spec: str) -> tuple[ModuleType, Scene]:
     if file.is_dir():
         raise SceneError(f"{path} is a folder; give path/to/file.py or path/to/file.py:variable")
     if not file.is_file():
-        close = difflib.get_close_matches(spec, builtin_names(), 1)
-        raise SceneError(
-            f"no scene {spec!r}: {f'did you mean {close[0]}? It is ' if close else ''}neither a built-in one "
-            f"({', '.join(builtin_names())}) nor a file; give path/to/file.py or path/to/file.py:variable"
-        )
+        raise SceneError(_not_found(spec, file))
     module = _run(file)
     return module, _scene_of(module, file, variable or None)
+
+
+def _not_found(spec: str, file: Path) -> str:
+    """No such scene: a slip of the pen in a name or in a file's, or a list of what there is."""
+    close = difflib.get_close_matches(spec, builtin_names(), 1)
+    if close:
+        return f"no scene {spec!r}; did you mean {close[0]}? (servogen list shows the built-in ones)"
+    if not file.parent.is_dir():
+        return f"no file {file}: there is no folder {file.parent}"
+    close = difflib.get_close_matches(file.name, [f.name for f in file.parent.glob("*.py")], 1)
+    if close:
+        return f"no file {file}; did you mean {file.with_name(close[0])}?"
+    if file.suffix == ".py" or len(file.parts) > 1:
+        return f"no file {file}; give path/to/file.py or path/to/file.py:variable"
+    return (
+        f"no scene {spec!r}: neither a built-in one ({', '.join(builtin_names())}) nor a file; "
+        "give path/to/file.py or path/to/file.py:variable"
+    )
 
 
 def _run(file: Path) -> ModuleType:
@@ -114,12 +128,16 @@ def _scene_of(module: ModuleType, file: Path, variable: str | None) -> Scene:
     scenes = {name: value for name, value in vars(module).items() if isinstance(value, Scene)}
     if variable is not None:
         if variable not in scenes:
-            raise SceneError(f"{file} defines no scene {variable!r}; it has {', '.join(scenes) or 'none'}")
+            close = difflib.get_close_matches(variable, scenes, 1)
+            hint = f"did you mean {close[0]}? It" if close else "it"
+            raise SceneError(f"{file} defines no scene {variable!r}; {hint} has {', '.join(scenes) or 'none'}")
         return scenes[variable]
     if "scene" in scenes:
         return scenes["scene"]
     if len({id(s) for s in scenes.values()}) == 1:
         return next(iter(scenes.values()))
     if scenes:
-        raise SceneError(f"{file} defines several scenes; name one as {file}:{next(iter(scenes))}")
+        raise SceneError(
+            f"{file} defines several scenes: {', '.join(scenes)}; name one, as in {file}:{next(iter(scenes))}"
+        )
     raise SceneError(f"{file} defines no scene; assign an sg.Scene to a variable named scene")

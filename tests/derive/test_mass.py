@@ -163,11 +163,12 @@ def test_identity_and_diagonal_leave_no_solve() -> None:
 
 def test_constant_mass_of_either_sign() -> None:
     for Q in ([[2.0, 1.0], [1.0, 2.0]], [[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, -2.0], [3.0, 0.0]]):
-        rounding = 4 * 2.0**-52 * np.linalg.cond(Q)  # two unknowns, two eliminations in unlike orders
+        wanted = np.linalg.solve(np.array(Q).T, [1.0, 0.5])
+        rounding = 16 * 2.0**-52 * np.linalg.cond(Q) * np.abs(wanted).max()  # eliminations in unlike orders
         program_S = sg.reference(small(ca.DM(Q))).S(q=[0, 0], u=[0, 0])
         S = sg.build(small(ca.DM(Q))).load(flags=["-O0"]).S(q=[0, 0], u=[0, 0])
-        np.testing.assert_allclose(S, program_S, rtol=rounding)
-        np.testing.assert_allclose(S.ravel(), np.linalg.solve(np.array(Q).T, [1.0, 0.5]), rtol=rounding)
+        np.testing.assert_allclose(S, program_S, rtol=0, atol=rounding)
+        np.testing.assert_allclose(S.ravel(), wanted, rtol=0, atol=rounding)
 
 
 # ---- singular at run time ----

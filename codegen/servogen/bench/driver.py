@@ -4,9 +4,7 @@ Files are flat float64 in the machine's order. States: the parameters, then a ro
 and output) after the other, its outputs state by state and then its statuses. Times: ns per call, (tasks, batches).
 """
 
-import os
 import resource
-import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from servogen.bench.inputs import Inputs
 from servogen.bench.results import Built, Output
 from servogen.render.render import environment
 from servogen.results import FloatArray
-from servogen.tools import ToolMissing
+from servogen.tools import c_compiler, compile_c
 
 
 @dataclass(frozen=True)
@@ -73,15 +71,8 @@ class Driver:
 
 def compiler_version(compiler: str) -> str:
     """The first line of `compiler --version`. ToolMissing where there is no such compiler."""
-    if shutil.which(compiler.split()[0]) is None:
-        raise ToolMissing(f"no C compiler {compiler!r} on this machine; install one: apt-get install gcc")
-    run = subprocess.run([*compiler.split(), "--version"], capture_output=True, text=True)
+    run = subprocess.run([*c_compiler(compiler), "--version"], capture_output=True, text=True)
     return run.stdout.splitlines()[0] if run.stdout else compiler
-
-
-def default_compiler() -> str:
-    """$CC, else cc."""
-    return os.environ.get("CC", "cc")
 
 
 def compile_driver(
@@ -93,15 +84,13 @@ def compile_driver(
     compiler: str,
     flags: Sequence[str],
 ) -> Driver:
-    """Write and compile everything in `folder`. RuntimeError with the compiler's words where it refuses."""
+    """Write and compile everything in `folder`. CompilerUnusable or CompilerRefused where that fails."""
     tasks = tuple(Task(c, output, sizes[output]) for c in contenders for output in c.calls)
     sources = _write(contenders, tasks, sizes, inputs, capacity, folder)
     executable = folder / "bench"
     libraries = [word for c in contenders for word in c.libraries]
-    argv = [*compiler.split(), *flags, f"-I{folder}", *map(str, sources), "-o", str(executable), *libraries, "-lm"]
-    run = subprocess.run(argv, capture_output=True, text=True)
-    if run.returncode != 0:
-        raise RuntimeError(f"{compiler} refused the bench driver:\n{run.stderr}")
+    more = [f"-I{folder}", *map(str, sources), "-o", str(executable), *libraries, "-lm"]
+    compile_c(c_compiler(compiler), flags, more, "the bench driver")
     return Driver(executable, folder, tasks)
 
 
@@ -111,7 +100,7 @@ def built(contender: CContender, folder: Path, compiler: str, flags: Sequence[st
     for file in (f.name for f in contender.files if f.name.endswith(".c")):
         target = folder / f"{file}.o"
         start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-        argv = [*compiler.split(), *flags, f"-I{folder}", "-c", str(folder / file), "-o", str(target)]
+        argv = [*c_compiler(compiler), *flags, f"-I{folder}", "-c", str(folder / file), "-o", str(target)]
         subprocess.run(argv, check=True, capture_output=True)
         seconds += resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start
         objects.append(target)

@@ -1,5 +1,6 @@
 """The bench of one scene, on one page: inputs, contenders, values, errors, times, instructions."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,13 +16,14 @@ from servogen.bench.contenders import (
     default_contenders,
     output_sizes,
 )
-from servogen.bench.driver import Driver, built, compile_driver, compiler_version, default_compiler
+from servogen.bench.driver import Driver, built, compile_driver, compiler_version
 from servogen.bench.error import count_answers, judge, truth
 from servogen.bench.inputs import Inputs, at_the_boundary, drawn
 from servogen.bench.results import Bench, Instructions, Measurement, labels
 from servogen.bench.timing import BATCH, Key, sample, summarise
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
+from servogen.tools import c_compiler
 
 STATES = 1024
 ROUNDS = 20
@@ -49,7 +51,7 @@ def bench(
     contenders: (scene, inputs, capacity) -> who is measured; baseline: of the ratios.
     Raises ToolMissing without a C compiler.
     """
-    command = compiler or default_compiler()
+    command = shlex.join(c_compiler(compiler))
     version = compiler_version(command)
     names, edge = at_the_boundary(scene)
     inputs = drawn(scene, states, seed)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import click
@@ -31,6 +32,9 @@ from servogen.report.precision import render_precision
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
+
+SUBJECTS = (HEADER.index("max ulp"), HEADER.index("NaN"))
+"""Times first; errors and instructions; the boundary states."""
 
 BUILDS = ("contender", "operations of both", "bytes of code", "compile s")
 
@@ -85,7 +89,10 @@ def bench_command(
     if solver:
         bench_solver(folder / "solver", shapes, rounds, as_json)
         return
-    words = tuple(flags.split())
+    try:
+        words = tuple(shlex.split(flags))
+    except ValueError as error:
+        raise click.BadParameter(f"{flags!r}: {error}", param_hint="--flags") from None
     results = []
     for spec in chosen(scenes, every):
         with progress(as_json) as advance:
@@ -167,7 +174,7 @@ def _show(result: Bench, paths: tuple[Path, ...]) -> None:
         f"{result.rounds} rounds; ratio to {result.baseline}"
     )
     rows = [_row(m) for output in Output for m in result.measurements if m.output is output]
-    table(title, HEADER, rows, right=range(2, len(HEADER)))
+    table(title, HEADER, rows, right=range(2, len(HEADER)), apart=SUBJECTS)
     table("compiled by itself", BUILDS, [_built(b) for b in result.builds], right=range(1, len(BUILDS)))
     for note in NOTES:
         out.print(f"  {note}", markup=False, soft_wrap=True)

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,17 @@ def progress(quiet: bool, logged: bool = False) -> Iterator[Advance]:
         yield lambda done, total, text: bar.update(task, completed=done, total=total, description=text)
 
 
-def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
-    """Print a table; `right` are the columns of numbers.
+def table(
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    right: Sequence[int] = (),
+    apart: Sequence[int] = (),
+) -> None:
+    """Print a table; `right` are the columns of numbers, at `apart` begin those of another subject.
 
-    Where it is too wide, as few of its first columns as will do become headings of smaller tables: no word is split.
+    Where it is too wide, each subject gets a table, with the columns of words again; where that is too wide, as few of
+    the first columns as will do become headings of smaller tables: no word is split.
     """
     cells = [[str(cell) for cell in row] for row in rows]
 
@@ -75,11 +82,19 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], r
         return Measurement.get(out, unbounded, grid(depth, cells, "")).minimum <= out.width
 
     unbounded = out.options.update(max_width=10_000)
+    if apart and not fits(0):
+        words = min(right)
+        for k, (start, stop) in enumerate(pairwise([words, *apart, len(header)])):
+            columns = [*range(words), *range(start, stop)]
+            chosen_rows = [[row[c] for c in columns] for row in cells]
+            table("" if k else title, [header[c] for c in columns], chosen_rows, range(words, len(columns)))
+        return
     depth = next(filter(fits, range(min(right, default=1))), 0)
     if depth == 0:
         out.print(grid(0, cells, title))
         return
-    out.print(title, style="table.title", markup=False)
+    if title:
+        out.print(title, style="table.title", markup=False)
     for heading, group in groupby(cells, key=lambda row: row[:depth]):
         out.print(grid(depth, list(group), ", ".join(heading)))
 

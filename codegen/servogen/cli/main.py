@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 import traceback
+from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import NoReturn
 
 import click
@@ -22,8 +24,7 @@ from servogen.cli.console import (
 )
 from servogen.errors import SceneError
 from servogen.simulate.board import BoardRunError
-from servogen.tools import ToolMissing
-from servogen.twins.compiled import CompilerRefused
+from servogen.tools import CompilerRefused, CompilerUnusable, ToolMissing
 from servogen.verify.harness import HarnessBuildError, VectorsTooLarge
 from servogen.version import VERSION
 
@@ -49,7 +50,9 @@ class Commands(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
-            return None
+            close = get_close_matches(name, COMMANDS, 1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(COMMANDS)}"
+            raise click.UsageError(f"no command {name!r}; {hint}", ctx)
         file, function = COMMANDS[name]
         found = getattr(import_module(f"servogen.cli.{file}"), function)
         assert isinstance(found, click.Command)
@@ -78,7 +81,7 @@ def main() -> None:
         if not _as_json():
             error.show()
         _end(error.format_message(), WRONG_INPUT, said=not _as_json())
-    except (SceneError, ToolMissing, VectorsTooLarge) as error:
+    except (SceneError, ToolMissing, CompilerUnusable, VectorsTooLarge) as error:
         _end(str(error), WRONG_INPUT)
     except OSError as error:
         _end(_refused(error), WRONG_INPUT)
@@ -102,9 +105,20 @@ def _as_json() -> bool:
 
 def _refused(error: OSError) -> str:
     """What the system said, and the remedy where it did not let us write."""
-    if error.filename and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{error.filename}: {error.strerror}; name a folder that you may write to with --out"
-    return str(error)
+    path = error.filename or _written(error)
+    if path and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{path}: {error.strerror}; name a folder that you may write to with --out"
+    if path and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{path}: {error.strerror}; make room there, or name another folder (--out; temporary files: TMPDIR)"
+    return f"{path}: {error.strerror}" if path and error.strerror else str(error)
+
+
+def _written(error: OSError) -> Path | None:
+    """The file that could not be written, which the system does not tell: the innermost path of the failed calls."""
+    paths: list[Path] = []
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        paths += [value for value in frame.f_locals.values() if isinstance(value, Path)]
+    return paths[-1] if paths else None
 
 
 def _end(message: str, code: int, said: bool = False, kind: str = "error") -> NoReturn:

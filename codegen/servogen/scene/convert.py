@@ -7,11 +7,13 @@ import numpy as np
 
 from servogen.errors import SceneError
 
+MX_REMEDY = "make the symbols with ca.SX.sym, or call f.expand() of a ca.Function f with SX symbols"
+
 
 def to_sx(value: Any, what: str) -> Any:
     """SX of `value`, finite where it is numeric; SceneError naming `what` otherwise."""
     if isinstance(value, ca.MX):
-        raise SceneError(f"{what} is CasADi MX; write the scene in SX (ca.SX.sym), or expand the function first")
+        raise SceneError(f"{what} is CasADi MX; use SX: {MX_REMEDY}")
     if value is None:
         raise SceneError(f"{what} is None; give a number, an array or CasADi SX")
     if _holds_sx(value):
@@ -75,6 +77,8 @@ def is_identity(sx: Any) -> bool:
 
 def symbols(value: Any, what: str) -> Any:
     """A column of distinct SX symbols."""
+    if isinstance(value, ca.MX):
+        raise SceneError(f"{what} must be SX symbols, not MX; use SX: {MX_REMEDY}")
     if not isinstance(value, ca.SX):
         raise SceneError(f"{what} must be SX symbols, as from ca.SX.sym({what!r}, n); got {type(value).__name__}")
     sx = column(value, what)

@@ -1,9 +1,6 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
-import os
-import shutil
-import subprocess
 import tempfile
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -15,15 +12,11 @@ from servogen.plan.module import Module, Result, StructField
 from servogen.results import Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
-from servogen.tools import ToolMissing
+from servogen.tools import c_compiler, compile_c
 from servogen.twins.interface import Twin, refusal
 
 if TYPE_CHECKING:
     from servogen.package import Package
-
-
-class CompilerRefused(RuntimeError):  # noqa: N818, the name says it
-    """The C compiler did not take the generated code; the message ends with what it printed."""
 
 
 CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
@@ -56,7 +49,7 @@ def stack_source(module: Module) -> str:
 def load_package(
     package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
 ) -> "CompiledTwin | CompiledSolver":
-    """Compile and load. Raises ToolMissing without a C compiler, CompilerRefused with its words where it fails."""
+    """Compile and load. Raises ToolMissing without a C compiler, CompilerUnusable or CompilerRefused where it fails."""
     module = package.module
     if package.scene is None:
         return CompiledSolver(module, compile_library(package, compiler, flags, stack_source(module)))
@@ -66,9 +59,7 @@ def load_package(
 
 def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
     """The package's C, and `extra` C beside it, as a shared library in this process."""
-    command = compiler or os.environ.get("CC", "cc")
-    if shutil.which(command.split()[0]) is None:
-        raise ToolMissing(f"no C compiler {command!r} on this machine; install one: apt-get install gcc")
+    command = c_compiler(compiler)
     with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
         library = FilePath(folder) / f"{package.prefix}.so"
         sources = [str(package.path / f"{package.prefix}.c")]
@@ -76,10 +67,10 @@ def compile_library(package: "Package", compiler: str | None, flags: tuple[str, 
             beside = FilePath(folder) / "extra.c"
             beside.write_text(extra)
             sources.append(str(beside))
-        argv = [*command.split(), *CROSS_CHECK_FLAGS, *flags, "-fPIC", "-shared", f"-I{package.path}", *sources]
-        run = subprocess.run([*argv, "-o", str(library), "-lm"], capture_output=True, text=True)
-        if run.returncode != 0:
-            raise CompilerRefused(f"{command} refused {package.prefix}.c:\n{run.stderr}")
+        sources += [word for word in flags if word.endswith(".c")]
+        chosen = [word for word in flags if not word.endswith(".c")]
+        more = ["-fPIC", "-shared", f"-I{package.path}", *sources, "-o", str(library), "-lm"]
+        compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
         return ct.CDLL(str(library))
 
 

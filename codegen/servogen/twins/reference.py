@@ -70,7 +70,7 @@ class ReferenceTwin(Twin):
         return True
 
     def _singular(self, Q: FloatArray) -> bool:
-        """Whether Q, its rows and columns scaled to one, has a condition beyond 1 / (n eps), or the wrong sign."""
+        """Whether Q, its rows and columns scaled to one, has a condition beyond 1 / (4 n eps), or the wrong sign."""
         if self._definite and np.any(np.diag(Q) <= 0):
             return True
         return _ill_conditioned(Q, EPSILON[self.scalar])
@@ -359,7 +359,8 @@ def _with_status(info: Info, status: Status) -> Info:
 
 
 def _ill_conditioned(Q: FloatArray, epsilon: float) -> bool:
-    """Whether Q, its rows and columns scaled to one, has a condition number beyond 1 / (n eps)."""
+    """Whether Q, its rows and columns scaled to one, has a condition number beyond 1 / (4 n eps): what LAPACK makes of
+    a singular value of 0 lies within."""
     rows = np.max(np.abs(Q), axis=1, keepdims=True)
     if not np.all(np.isfinite(Q)) or np.any(rows == 0):
         return not np.any(~np.isfinite(Q))
@@ -369,7 +370,7 @@ def _ill_conditioned(Q: FloatArray, epsilon: float) -> bool:
     if not np.all(np.isfinite(scaled)):
         return True
     sigma = np.linalg.svd(scaled, compute_uv=False)
-    return bool(sigma[-1] <= len(Q) * epsilon * sigma[0])
+    return bool(sigma[-1] <= 4 * len(Q) * epsilon * sigma[0])
 
 
 def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:

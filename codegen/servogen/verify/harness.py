@@ -11,6 +11,7 @@ import subprocess
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +29,10 @@ _COMPILERS = {"gcc": ("gcc", "gcc"), "clang": ("clang", "clang"), "asan": ("gcc"
 
 class VectorsTooLarge(ValueError):  # noqa: N818, the name says it
     """The vectors do not fit into the board; the message says how many would."""
+
+
+_SAID = 30
+"""Lines of what a tool printed, at most."""
 
 
 class HarnessBuildError(RuntimeError):
@@ -359,9 +364,22 @@ def _run(command: list[str | Path]) -> str:
         command, cwd=firmware_sim(), env=_environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True
     )
     if done.returncode != 0:
-        printed = (done.stdout + done.stderr).strip().splitlines()
-        raise HarnessBuildError("\n".join([f"failed: {' '.join(map(str, command))}", *printed[-80:]]))
+        raise HarnessBuildError(_complaint(command, done.stdout + done.stderr))
     return done.stdout
+
+
+def _complaint(command: list[str | Path], printed: str) -> str:
+    """What failed and what it said: of ninja's log the first step that failed, of CMake's what follows its error."""
+    lines = printed.strip().splitlines()
+    failed = next((k for k, line in enumerate(lines) if line.startswith("FAILED: ")), None)
+    if failed is not None:
+        output, step = lines[failed].removeprefix("FAILED: ").split()[-1], lines[failed + 1 :]
+        said = list(takewhile(lambda line: not line.startswith(("[", "ninja: ")), step[1:]))
+        commands = [words.split()[0] for words in step[0].split(" && ") if words.strip() not in ("", ":")]
+        programs = dict.fromkeys(name for name in (Path(c).name for c in commands) if name != "cmake")
+        return "\n".join([f"{', '.join(programs)} could not make {output}:", *(said[:_SAID] or ["(nothing was said)"])])
+    start = next((k for k, line in enumerate(lines) if line.startswith("CMake Error")), max(len(lines) - _SAID, 0))
+    return "\n".join([f"failed: {Path(command[0]).name}", *lines[start : start + _SAID]])
 
 
 def _test_commands(build_dir: Path) -> dict[str, dict[str, Any]]:
