@@ -58,7 +58,9 @@ class MujocoLoop(ClosedLoop):
         self._watch = ca.Function("watch", [s for _, s in symbols], [stops, ca.densify(scene.mechanism.G)])
 
     def run(self, **options: Any) -> Trajectory:
-        """As ClosedLoop.run, with one tick a step; integrated as the model's file says."""
+        """As ClosedLoop.run, with one tick a step (hold); method: none, the model's file says how it is integrated."""
+        if options.get("method") is not None:
+            raise SceneError("method: MuJoCo integrates as its model says (<option integrator>); leave it out")
         return replace(super().run(**options | {"hold": True, "method": None}), method="mujoco")
 
     def _integrate(
