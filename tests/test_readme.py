@@ -1,6 +1,7 @@
 """What the README and the docs show works as it stands."""
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -71,6 +72,17 @@ def test_the_simulation_of_the_docs_runs_as_they_say(tmp_path):
     assert told["stop"]["event"] == "end of the track"
     assert told["constraint_error"] < 1e-9
     assert told["decay_error"]["lag"] < 1e-9
+
+
+def test_the_controller_in_mujoco_runs_as_the_docs_say(tmp_path, need_module):
+    """v' = -2 (v - 1.5) from rest: 1.4963 m/s after three seconds, up to what the hold of 2 ms leaves."""
+    need_module("mujoco", "mujoco")
+    cart, in_mujoco = re.findall(r"```python\n(.*?)```", PYTHON, re.DOTALL)
+    (tmp_path / "cart.py").write_text(cart)
+    (tmp_path / "cart_in_mujoco.py").write_text(in_mujoco)
+    done = subprocess.run([sys.executable, "cart_in_mujoco.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout.split()[0]) == pytest.approx(1.5 * (1 - math.exp(-6)), abs=1e-3)
 
 
 def test_the_commands_it_names_exist(folder):

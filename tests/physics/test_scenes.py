@@ -5,6 +5,7 @@ import pytest
 import servogen as sg
 from servogen.loading import load_scene, load_simulation
 from servogen.scene.domain import draw_states
+from servogen.scenes.iiwa_position import EFFORT, JOINT_SPEED
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 
@@ -91,11 +92,19 @@ def test_the_thrusters_hold_velocity_and_rate() -> None:
     assert np.linalg.norm(null @ rest) < 1e-9
 
 
-def test_the_arms_end_effector_takes_its_pose() -> None:
-    """Position and orientation decay with the double rate -10, and stay clear of where the constraints lose rank."""
-    found = run("iiwa_pose")
+@pytest.mark.parametrize("name", ["iiwa_position", "iiwa_pose"])
+def test_the_iiwa_moves_as_prescribed_and_comes_to_rest(name: str) -> None:
+    """The error decays with the double rate -10; no joint meets a limit of its angle, speed or effort on the way.
+
+    The constraints leave joints free: the posture brings those to rest, and the weight keeps the light ones slow.
+    """
+    found = run(name)
     assert found.stop.reason == "finished"
     size = np.linalg.norm(found.constraint, axis=1)
     expected = size[0] * (1 + 10 * found.t) * np.exp(-10 * found.t)
     assert np.max(np.abs(size - expected)) < 1e-6
     assert found.sigma_min.min() > 0.1
+    assert np.all(found.status == 0)
+    assert np.max(np.abs(found.u)) < 0.2 * JOINT_SPEED
+    assert np.max(np.abs(found.tau)) < 0.2 * EFFORT
+    assert np.max(np.abs(found.u[-1])) < 1e-6

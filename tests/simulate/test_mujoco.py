@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.bench import mujoco_figures
 from servogen.cli import main
 from servogen.loading import load_simulation
 from servogen.scenes import iiwa_position
 from servogen.scenes.planar_arm_3r import arm, arm_run
-from servogen.simulate import mujoco_figures
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement, load_plant
 from servogen.simulate.trajectory import Trajectory

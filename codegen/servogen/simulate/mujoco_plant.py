@@ -60,6 +60,8 @@ class MujocoLoop(ClosedLoop):
 
     def run(self, **options: Any) -> Trajectory:
         """As ClosedLoop.run, with a controller that samples; integrated as the model's file says."""
+        if options.get("method") is not None:
+            raise SceneError("method: MuJoCo integrates as its model says (<option integrator>); leave it out")
         if options.get("plant"):
             raise SceneError("MuJoCo's model is the plant: write its parameters into the model")
         hold = options.get("hold") or self.simulation.hold or True

@@ -1,8 +1,8 @@
-"""What arms do on MuJoCo's physics: python -m servogen.simulate.mujoco_figures [--panda panda.urdf] [--seconds 30].
+"""What arms do on MuJoCo's physics: python -m servogen.bench.mujoco_figures [--panda panda.urdf] [--choices].
 
 The figures of docs/singularity.md: iiwa_position, iiwa_pose and a Panda at 1 kHz, 500 Hz and 200 Hz, each beside our
-own plant; and past full reach and back. The Panda's URDF is that of the package example-robot-data. Files are taken
-without their joints' damping, which the scenes' models have not.
+own plant; past full reach and back; with --choices other y and W in their place. The Panda's URDF is that of the
+package example-robot-data. Files are taken without their joints' damping, which the scenes' models have not.
 """
 
 import argparse
@@ -10,7 +10,7 @@ import re
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -195,9 +195,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--panda", type=Path, help="a Franka Panda's URDF")
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--choices", action="store_true", help="y and W of iiwa_position exchanged, instead")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         iiwa = undamped(iiwa_position.ROBOT_FILE, Path(folder))
+        if options.choices:
+            show_choices(iiwa)
+            return
         arms = [arm("iiwa_position", iiwa), arm("iiwa_pose", iiwa)]
         robot, file, tool = iiwa_position.robot, iiwa, iiwa_position.END_EFFECTOR
         centre = tuple(iiwa_position.CENTRE)
@@ -218,6 +222,35 @@ def main() -> None:
         for damping in (0.2, None):
             print(f"\npast full reach, damping {damping}:")
             show_reach(past_reach(robot, file, tool, centre, damping))
+
+
+def show_choices(file: Path) -> None:
+    """The motion of iiwa_position with other choices of y and W; no margin ends it."""
+    robot, plain = iiwa_position.robot, iiwa_position.scene_of(iiwa_position.robot)
+    simulation = replace(iiwa_position.simulation, stop={}, tau_max=None)
+    damped, held = robot.posture(6.0), robot.posture(6.0, 9.0, iiwa_position.CENTRE)
+    choices = {
+        "0, I": plain,
+        "-5 u, I": replace(plain, y=-5.0 * robot.u),
+        "posture(6), I": replace(plain, y=damped),
+        "0, Q^-1": replace(plain, weight="inverse_mass"),
+        "posture(6), Q^-1": replace(plain, y=damped, weight="inverse_mass"),
+        "posture(6, 9, centre), Q^-1": replace(plain, y=held, weight="inverse_mass"),
+    }
+    for name, scene in choices.items():
+        loop = MujocoLoop(scene, simulation, file)
+        for rate in (1000, 200):
+            found = loop.run(step=1 / rate)
+            fast = np.max(np.abs(found.u), axis=1)
+            late = found.t[np.argmax(fast > iiwa_position.JOINT_SPEED)]
+            off = np.max(np.linalg.norm(found.constraint - found.ideal, axis=1))
+            print(
+                f"y, W = {name:28} {rate:5} Hz  {found.stop}  {np.max(fast):.4g} rad/s"
+                f"{f', too fast at {late:.3f} s' if np.max(fast) > iiwa_position.JOINT_SPEED else ''}, at last "
+                f"{fast[-1]:.1e}  {np.max(np.abs(found.tau)):.4g} N m  off decay {off:.2e} m  "
+                f"statuses {sorted(set(found.status.tolist()))}",
+                flush=True,
+            )
 
 
 def show_reach(far: Arm) -> None:
