@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -70,6 +70,10 @@ class MujocoLoop(ClosedLoop):
         if self._broke is not None:
             raise self._broke
         return replace(found, method="mujoco")
+
+    def runs(self, *_: Any, **__: Any) -> NoReturn:
+        """Not with MuJoCo: one simulator is not many, and its steps are no C of ours."""
+        raise SceneError("many runs are of the generated plant; leave out MuJoCo, or run it once for each seed")
 
     def _physics(self, setup: Setup) -> Any:
         """MuJoCo's steps as a C function that the generated loop calls."""

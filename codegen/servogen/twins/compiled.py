@@ -59,19 +59,26 @@ def load_package(
 
 def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
     """The package's C, and `extra` C beside it, as a shared library in this process."""
-    command = c_compiler(compiler)
     with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
-        library = FilePath(folder) / f"{package.prefix}.so"
-        sources = [str(package.path / f"{package.prefix}.c")]
-        if extra:
-            beside = FilePath(folder) / "extra.c"
-            beside.write_text(extra)
-            sources.append(str(beside))
-        sources += [word for word in flags if word.endswith(".c")]
-        chosen = [word for word in flags if not word.endswith(".c")]
-        more = ["-fPIC", "-shared", f"-I{package.path}", *sources, "-o", str(library), "-lm"]
-        compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
-        return ct.CDLL(str(library))
+        return ct.CDLL(str(build_library(package, FilePath(folder), compiler, flags, extra)))
+
+
+def build_library(
+    package: "Package", folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
+) -> FilePath:
+    """The shared library as a file in `folder`. Raises ToolMissing and CompilerRefused as load_package does."""
+    command = c_compiler(compiler)
+    library = folder / f"{package.prefix}.so"
+    sources = [str(package.path / f"{package.prefix}.c")]
+    if extra:
+        beside = folder / "extra.c"
+        beside.write_text(extra)
+        sources.append(str(beside))
+    sources += [word for word in flags if word.endswith(".c")]
+    chosen = [word for word in flags if not word.endswith(".c")]
+    more = ["-fPIC", "-shared", f"-I{package.path}", *sources, "-o", str(library), "-lm"]
+    compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
+    return library
 
 
 def _shape(module: Module) -> dict[str, int]:
