@@ -13,6 +13,7 @@ from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Parameter, Parameters, Ref, References
+from servogen.simulate.machine import Actuators
 from servogen.simulate.simulation import Simulation
 from servogen.twins.reference import reference
 from servogen.version import VERSION
@@ -20,6 +21,7 @@ from servogen.version import VERSION
 __version__ = VERSION
 
 __all__ = [
+    "Actuators",
     "Control",
     "ControlsInvolved",
     "Holonomic",

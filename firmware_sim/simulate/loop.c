@@ -1,3 +1,5 @@
+#include <stddef.h>
+
 #include "loop.h"
 
 #define R(number) ((real)(number))
@@ -86,19 +88,22 @@ static int step(sim_loop *loop, real t, real h)
     return 0;
 }
 
-/* The grid point reached: a row, and the judgement whether it is the last. */
+/* The grid point reached: a row where one is due, and the judgement whether it is the last. */
 static int arrive(sim_loop *loop, sim_sink sink, void *user)
 {
     const sim_system *system = loop->system;
     const real t = R(loop->done) * loop->step;
+    const int due = loop->done % loop->row_every == 0;
     sim_row row;
-    if (system->sample(system->scene, loop->done, t, loop->x, &row, &loop->stop)) {
+    if (system->sample(system->scene, loop->done, t, loop->x, due ? &row : NULL, &loop->stop)) {
         return 1;
     }
-    loop->stop.t = t;
-    sink(user, &row);
-    if (system->event(system->scene, &row, &loop->stop)) {
-        return 1;
+    if (due) {
+        loop->stop.t = t;
+        sink(user, &row);
+        if (system->event(system->scene, &row, &loop->stop)) {
+            return 1;
+        }
     }
     if (loop->done == loop->steps) {
         loop->stop.reason = SIM_FINISHED;
@@ -123,6 +128,9 @@ int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user)
         const real t = R(loop->done) * loop->step;
         uint32_t k;
         for (k = 0; k < loop->substeps; ++k) {
+            if (k > 0 && loop->system->between != NULL) {
+                loop->system->between(loop->system->scene, loop->done, k);
+            }
             if (step(loop, t + R(k) * h, h)) {
                 return loop->stop.reason;
             }

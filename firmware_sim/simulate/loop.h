@@ -38,8 +38,9 @@ typedef struct {
     const real *q, *u;
     const real *tau;        /* applied at t */
     const real *constraint; /* psi or phi */
-    int status, rank;       /* of the controller at t */
-    real sigma_min;
+    int status, rank;       /* of the controller; the worst status since the row before, the rank at the last tick */
+    real sigma_min;         /* at the last tick */
+    uint32_t limited;       /* bit mask of the controls that an actuator held back since the row before */
 } sim_row;
 
 typedef void (*sim_sink)(void *user, const sim_row *row);
@@ -60,8 +61,10 @@ typedef struct {
     int states;
     /* x' [states] at (t, x); the controller is called inside, or its tau is held */
     int (*rate)(void *scene, real t, const real *x, real *x_dot, sim_stop *stop);
-    /* the row at the k-th grid point, at which a sampling controller has its tick */
+    /* at the k-th grid point, where a sampling controller may have its tick; row: to be filled in, NULL if none is due */
     int (*sample)(void *scene, uint32_t k, real t, const real *x, sim_row *row, sim_stop *stop);
+    /* before the substep-th of the substeps that follow the k-th grid point, but for the first; NULL if nothing is due */
+    void (*between)(void *scene, uint32_t k, uint32_t substep);
     /* SIM_EVENT where a stop expression is <= 0 */
     int (*event)(void *scene, const sim_row *row, sim_stop *stop);
 } sim_system;
@@ -71,17 +74,18 @@ typedef struct {
     const sim_method *method;
     real *x;           /* the state now [system->states] */
     real *work;        /* [SIM_WORK(system->states)] */
-    real step;         /* between rows, seconds */
-    uint32_t substeps; /* of the method within a step, at least 1 */
-    uint32_t steps;    /* of the whole run */
-    uint32_t done;     /* of these */
+    real step;          /* between grid points, seconds */
+    uint32_t substeps;  /* of the method within a step, at least 1 */
+    uint32_t steps;     /* of the whole run */
+    uint32_t row_every; /* steps from row to row, at least 1 */
+    uint32_t done;      /* steps so far */
     sim_stop stop;
 } sim_loop;
 
 /* Hands out the row of the start; loop->x and all settings are filled in. Returns loop->stop.reason. */
 int sim_begin(sim_loop *loop, sim_sink sink, void *user);
 
-/* At most `count` further steps, one row each; stops for good with a reason. Returns loop->stop.reason. */
+/* At most `count` further steps; stops for good with a reason. Returns loop->stop.reason. */
 int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user);
 
 void sim_copy(const real *from, real *to, int n);

@@ -25,6 +25,7 @@ static void show(void *user, const sim_row *row)
     show_reals(&row->sigma_min, 1);
     print_number(" status=", row->status);
     print_number(" rank=", row->rank);
+    print_number(" limited=", (int)row->limited);
     print_text("\n");
 }
 

@@ -16,7 +16,7 @@ void sim_keep(void *user, const sim_row *row)
         return;
     }
     to = record->values + (size_t)record->used * width;
-    mark = record->marks + 2u * (size_t)record->used;
+    mark = record->marks + 3u * (size_t)record->used;
     to = put(to, &row->t, 1);
     to = put(to, row->q, record->q);
     to = put(to, row->u, record->u);
@@ -25,5 +25,6 @@ void sim_keep(void *user, const sim_row *row)
     (void)put(to, &row->sigma_min, 1);
     mark[0] = row->status;
     mark[1] = row->rank;
+    mark[2] = (int32_t)row->limited;
     ++record->used;
 }

@@ -10,7 +10,7 @@ typedef struct {
     int q, u, tau, constraint; /* sizes of a row's vectors */
     uint32_t capacity, used;   /* rows */
     real *values;              /* [capacity * (q + u + tau + constraint + 2)]: t, q, u, tau, constraint, sigma_min */
-    int32_t *marks;            /* [capacity * 2]: status, rank */
+    int32_t *marks;            /* [capacity * 3]: status, rank, limited */
 } sim_record;
 
 /* A sim_sink; `user` is a sim_record. Rows beyond the capacity are dropped. */

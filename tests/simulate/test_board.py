@@ -1,6 +1,10 @@
 """The closed loop inside an emulated board: the host's rows, bit for bit."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
+import servogen as sg
 from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import rows_that_differ
@@ -24,12 +28,33 @@ def test_rows_are_the_hosts(name, board, scalar, duration, need_target):
     assert rows_that_differ(here, there) == 0
 
 
-def test_the_tick_of_firmware_and_an_event(need_target):
-    """With hold, from a start that ends at once: the reason comes across, too."""
+@pytest.mark.parametrize(
+    ("name", "scalar", "duration"),
+    [("spacecraft", "float32", 0.02), ("double_pendulum_energy", "float64", 0.005)],
+)
+def test_a_machine_with_all_its_flaws(need_target, name, scalar, duration):
+    """Noise, steps, a delay, limits, rates and lags, another plant, rows less often than ticks: the same bits."""
     need_target("cortex-m4")
-    scene, simulation = load_simulation("spacecraft")
-    loops = [ClosedLoop(scene, simulation, "float32", target=target) for target in ("host", "cortex-m4")]
-    runs = [loop.run(duration=0.02, hold=True) for loop in loops]
+    scene, simulation = load_simulation(name)
+    heavier = {f.name: 1.2 * np.array(f.default) for f in list(scene.parameters)[:1]}
+    tick = simulation.step
+    simulation = replace(
+        simulation,
+        plant=heavier,
+        actuators=sg.Actuators(limit=0.9 * SOME_TAU[name], rate=SOME_TAU[name] / tick, lag=2 * tick),
+        noise={"q": 1e-3, "u": 1e-2},
+        quantise={"u": 1e-3},
+        delay=1.25 * tick,
+        hold=tick,
+        step=2 * tick,
+        seed=11,
+    )
+    loops = [ClosedLoop(scene, simulation, scalar, target=target) for target in ("host", "cortex-m4")]
+    runs = [loop.run(duration=duration) for loop in loops]
+    assert len(runs[0].t) > 8
     assert rows_that_differ(*runs) == 0
-    other = ClosedLoop(scene, simulation, "float32").run(duration=0.02, hold=True, start={"u": [0.1, 0.1, 0.11]})
-    assert rows_that_differ(runs[0], other) > 0
+    assert runs[0].limited.max() > 0
+    assert rows_that_differ(runs[0], loops[0].run(duration=duration, seed=12)) > 0
+
+
+SOME_TAU = {"spacecraft": 0.3, "double_pendulum_energy": 1.0}

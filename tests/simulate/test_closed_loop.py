@@ -305,7 +305,11 @@ static void count(void *user, const sim_row *row) { (void)user; (void)row; ++row
 int main(int argc, char **argv)
 {
     const double parameters[] = {10, 6.3, 8.5, 1}, q[3] = {0}, u[] = {0.1, 0.1, 0.1}, tau[] = {0.1, 0.1, -0.3376};
-    spacecraft_smooth_setup setup = {parameters, q, u, tau, NULL, 0.01, 2, 100, SIM_RK4, 0, 1};
+    const double limit[] = {0.2, 0.2, -1}, none[] = {-1, -1, -1}, noise[] = {0, 0, 0, 1e-3, 1e-3, 1e-3}, step[6] = {0};
+    spacecraft_smooth_setup setup = {
+        parameters, parameters, q, u, tau, NULL, limit, none, none, none, noise, step,
+        0.01, 0.01, 4, 100, 1, 1, 127, 7, SIM_RK4, 0, 1
+    };
     static spacecraft_smooth_run run;
     sim_stop stop;
     setup.hold = argc > 1 && argv[1][0] == '1';

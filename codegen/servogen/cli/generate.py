@@ -1,12 +1,13 @@
 """servogen list, generate, solver: what there is, and C out of it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from servogen.cli.console import emit_json, json_option, out, table
-from servogen.compiler import build, build_solver
+from servogen.compiler import build, build_plant, build_solver
 from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
@@ -51,15 +52,31 @@ def list_scenes(as_json: bool) -> None:
 @prefix_option
 @math_option
 @out_option
+@click.option(
+    "--plant",
+    is_flag=True,
+    help="Also the mechanism itself, q' and u', as <prefix>_plant.h and .c in ./<prefix>/plant/.",
+)
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @json_option
 def generate(
-    scene: str, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, casadi_abi: bool, as_json: bool
+    scene: str,
+    scalar: Scalar,
+    prefix: str | None,
+    math: Math,
+    out: Path | None,
+    plant: bool,
+    casadi_abi: bool,
+    as_json: bool,
 ) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
     loaded = load_scene(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
-    _report(build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi), as_json)
+    packages = [build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi)]
+    if plant:
+        own = f"{packages[0].prefix}_plant"
+        packages.append(build_plant(loaded, folder / "plant", scalar, own, math=math))
+    _report(packages, as_json)
 
 
 @click.command()
@@ -73,13 +90,20 @@ def generate(
 def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report(build_solver(m, l, folder, scalar, prefix=prefix, math=math), as_json)
+    _report([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], as_json)
 
 
-def _report(package: Package, as_json: bool) -> None:
+def _report(packages: Sequence[Package], as_json: bool) -> None:
+    """The first package; in JSON the second, a plant, stands beside it."""
     if as_json:
-        emit_json({"path": package.path, "manifest": package.manifest})
+        told = [{"path": p.path, "manifest": p.manifest} for p in packages]
+        emit_json(told[0] | ({"plant": told[1]} if len(told) > 1 else {}))
         return
+    for package in packages:
+        _show(package)
+
+
+def _show(package: Package) -> None:
     rows = [_row(package, name, point) for name, point in package.manifest["entry_points"].items()]
     table(
         f"{package.prefix} ({package.module.target.scalar}): C functions, and operations of the scene's own code",

@@ -1,6 +1,7 @@
 """servogen simulate: a scene's generated C in closed loop with its plant, as tables, figures and CSV."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.export import write_csv
+from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitudes
 from servogen.simulate.plots import METHOD_NAMES, write_plots
-from servogen.simulate.simulation import METHODS, checked, run_takes
+from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.verdict import Verdict
 from servogen.verify.harness import targets
@@ -36,12 +38,26 @@ from servogen.verify.harness import targets
     show_default=True,
     help="Where the loop runs; on a board the rows are also held to the host's, bit for bit.",
 )
-@click.option("--hold", is_flag=True, help="One tick of the controller a step, tau held in between, as in firmware.")
+@click.option(
+    "--hold", type=float, metavar="SECONDS", help="Between two ticks of the controller, tau held, as in firmware."
+)
 @click.option(
     "--start", "start", multiple=True, metavar="NAME=NUMBERS", help="q, u or tau at t = 0, say u=0.1,0.1,0.1."
 )
 @click.option("--reference", "references", multiple=True, metavar="NAME=NUMBERS", help="A reference, or y; constant.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBERS", help="A parameter of the model.")
+@click.option(
+    "--plant", multiple=True, metavar="NAME=NUMBERS", help="A parameter of the plant, unlike the controller's."
+)
+@click.option("--limit", metavar="NUMBERS", help="Largest magnitude of each control; one number stands for all.")
+@click.option("--rate", metavar="NUMBERS", help="Largest change of each control per second.")
+@click.option("--lag", metavar="NUMBERS", help="Time constant of each control's actuator, seconds.")
+@click.option(
+    "--noise", multiple=True, metavar="NAME=NUMBERS", help="Standard deviation of readings, q=1e-4 or u=1e-3."
+)
+@click.option("--quantise", multiple=True, metavar="NAME=NUMBERS", help="Steps that readings come in, q=1e-3.")
+@click.option("--delay", type=float, metavar="SECONDS", help="From reading to acting.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Of the noise.")
 @click.option("--no-project", is_flag=True, help="Start from tau as given, even if phi is not zero there.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder; default ./simulation/<scene's name>/."
@@ -55,10 +71,18 @@ def simulate_command(
     step: float | None,
     method: str | None,
     target: str,
-    hold: bool,
+    hold: float | None,
     start: Sequence[str],
     references: Sequence[str],
     parameters: Sequence[str],
+    plant: Sequence[str],
+    limit: str | None,
+    rate: str | None,
+    lag: str | None,
+    noise: Sequence[str],
+    quantise: Sequence[str],
+    delay: float | None,
+    seed: int | None,
     no_project: bool,
     out: Path | None,
     no_plots: bool,
@@ -67,8 +91,9 @@ def simulate_command(
     """Run SCENE in closed loop: its controller and its plant, both generated C, by fixed steps.
 
     Where it starts, how long it runs, what is drawn and what stops it comes from the variable `simulation`
-    (sg.Simulation) of the scene's file. Exit code 0 where the constraints were held, 1 where they were not (the verdict
-    says what happened and what to try) or a board's rows are not the host's.
+    (sg.Simulation) of the scene's file, and so does the machine: its plant, actuators, sensors and delay. Exit code 0
+    where the constraints were held, 1 where they were not (the verdict says what happened and what to try) or a board's
+    rows are not the host's.
     """
     loaded, simulation = load_simulation(scene)
     takes = run_takes(loaded)
@@ -76,8 +101,18 @@ def simulate_command(
         "start": _assignments(start, "--start", takes["start"]),
         "references": _assignments(references, "--reference", takes["references"]),
         "parameters": _assignments(parameters, "--parameter", takes["parameters"]),
+        "plant": _assignments(plant, "--plant", takes["parameters"]),
+    }
+    readings = {n: takes["start"][n] for n in ("q", "u")}
+    machine: dict[str, Any] = {
+        "actuators": _actuators(simulation, loaded.controls, {"limit": limit, "rate": rate, "lag": lag}),
+        "noise": dict(simulation.noise) | _assignments(noise, "--noise", readings),
+        "quantise": dict(simulation.quantise) | _assignments(quantise, "--quantise", readings),
+        "delay": delay,
+        "seed": seed,
     }
     simulation = simulation.holding(changed["references"])
+    on = replace(simulation, **{n: v for n, v in machine.items() if v is not None})
     folder = out or Path("simulation") / loaded.name
     with progress(as_json) as advance:
         advance(0, 1, f"{loaded.name}: compiling")
@@ -87,6 +122,7 @@ def simulate_command(
             "hold": hold,
             "method": method,
             "project": not no_project,
+            **machine,
         }
         trajectory = ClosedLoop(loaded, simulation, scalar).run(
             **given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps")
@@ -105,6 +141,7 @@ def simulate_command(
         "target": target,
         "rows_unlike_the_hosts": differing,
         "units": dict(simulation.units),
+        "machine": machine_in_words(on),
     }
     if as_json:
         emit_json(summary | {"files": files})
@@ -117,16 +154,31 @@ def _assignments(given: Sequence[str], option: str, sizes: Mapping[str, int]) ->
     """NAME=1,2,3 as {NAME: array of 1, 2, 3}, for the names and sizes that the option takes."""
     values: dict[str, FloatArray] = {}
     for text in given:
-        name, _, numbers = (part.strip() for part in text.partition("="))
+        name, _, listed = (part.strip() for part in text.partition("="))
         try:
-            parsed = [float(x) for x in numbers.split(",")]
+            parsed = [float(x) for x in listed.split(",")]
         except ValueError:
             if name in sizes:
                 example = ",".join(["0.1"] * sizes[name])
                 raise SceneError(f"{option} {text!r}; write NAME=NUMBERS, as in {name}={example}") from None
             parsed = []
-        values |= checked({name: parsed}, sizes, option)
+        one_for_all = option in ("--noise", "--quantise") and len(parsed) == 1
+        values |= checked({name: parsed * sizes.get(name, 1) if one_for_all else parsed}, sizes, option)
     return values
+
+
+def _actuators(simulation: Simulation, controls: int, given: Mapping[str, str | None]) -> Actuators | None:
+    """The simulation's actuators, and what the command says of them before it."""
+    stated = {}
+    for name, text in given.items():
+        if text is None:
+            continue
+        try:
+            stated[name] = sized_magnitudes([float(x) for x in text.split(",")], controls, f"--{name}")
+        except ValueError as error:
+            told = str(error) if isinstance(error, SceneError) else f"--{name} {text!r}; write a number, or {controls}"
+            raise SceneError(told) from None
+    return replace(simulation.actuators or Actuators(), **stated) if stated else simulation.actuators
 
 
 def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
@@ -138,6 +190,8 @@ def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
         "scalar": scalar,
         "step": trajectory.step,
         "hold": trajectory.hold,
+        "plant": {n: v for n, v in trajectory.plant.items() if not np.array_equal(v, trajectory.parameters[n])},
+        "rows_limited": int(np.count_nonzero(trajectory.limited)),
         "rows": len(trajectory.t),
         "verdict": trajectory.verdict,
         "stop": {
@@ -204,10 +258,17 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
     names = {n: escape(f"{n} [{units[n]}]") if n in units else n for n in summary["start"]}
     rows = [(shown, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n, shown in names.items()]
     table(title, ("quantity", "start", "end"), rows)
-    way = "one controller tick a step" if trajectory.hold else "controller in every stage"
+    way = "controller in every stage" if trajectory.hold is None else f"controller ticks every {trajectory.hold:g} s"
     out.print(
         f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
     )
+    if summary["plant"]:
+        told = "; ".join(
+            f"{n} = {_numbers(v)}, not {_numbers(trajectory.parameters[n])}" for n, v in summary["plant"].items()
+        )
+        out.print(f"  in the plant {told}", markup=False)
+    if summary["machine"]:
+        out.print(f"  the machine: {summary['machine']}", markup=False)
     if summary["target"] != "host":
         differing = summary["rows_unlike_the_hosts"]
         same = "bit for bit the host's" if not differing else f"[bold red]{differing} unlike the host's[/]"

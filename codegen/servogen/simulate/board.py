@@ -20,21 +20,17 @@ class BoardRunError(RuntimeError):
 
 @dataclass(frozen=True)
 class Setup:
-    """What <prefix>_setup of the C holds; arrays by name: parameters, q, u, tau, given."""
+    """What <prefix>_setup of the C holds, in its order: arrays by name, real and whole numbers by name."""
 
     arrays: dict[str, FloatArray]
-    step: float
-    substeps: int
-    steps: int
-    method: int
-    hold: bool
-    project: bool
+    reals: dict[str, float]
+    numbers: dict[str, int]
 
 
 def run_on_board(
     sources: LoopSources, sizes: Sequence[int], setup: Setup, scalar: Scalar, target: str, build_dir: Path
 ) -> tuple[FloatArray, Any, tuple[int, int, float]]:
-    """Build the loop's image and run it: rows (N, sum(sizes) + 2), marks (N, 2), and reason, detail, t of its end.
+    """Build the loop's image and run it: rows (N, sum(sizes) + 2), marks (N, 3), and reason, detail, t of its end.
 
     Raises ToolMissing, HarnessBuildError, and BoardRunError where the run breaks off.
     """
@@ -59,12 +55,10 @@ def run_on_board(
             p=prefix,
             sizes=sizes,
             arrays=[(n, [literal(float(x), scalar) for x in v] or ["0"]) for n, v in setup.arrays.items()],
-            step=literal(float(np.dtype(scalar).type(setup.step)), scalar),
-            substeps=setup.substeps,
-            steps=setup.steps,
-            method=setup.method,
-            hold=setup.hold,
-            project=setup.project,
+            numbers=[
+                *(literal(float(np.dtype(scalar).type(x)), scalar) for x in setup.reals.values()),
+                *setup.numbers.values(),
+            ],
         )
     )
     header = build_dir / "vectors" / f"{prefix}_setup.h"
@@ -84,8 +78,8 @@ def run_on_board(
     if end is None or code != 0:
         raise BoardRunError(f"{prefix} on {target} broke off: {complaint_of(log, code) or 'no end was printed'}")
     rows = [floats_of(w["bits"].rstrip(",")) for w in lines if w[""] == "row"]
-    marks = [(int(w["status"]), int(w["rank"])) for w in lines if w[""] == "row"]
+    marks = [(int(w["status"]), int(w["rank"]), int(w["limited"])) for w in lines if w[""] == "row"]
     width = sum(sizes) + 2
     values = np.array(rows, np.dtype(scalar)).reshape(-1, width)
     stop = int(end["reason"]), int(end["detail"]), float(floats_of(end["bits"].rstrip(","))[0])
-    return values, np.array(marks, np.int32).reshape(-1, 2), stop
+    return values, np.array(marks, np.int32).reshape(-1, 3), stop

@@ -19,6 +19,7 @@ from servogen.scene.scene import Scene
 from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay
+from servogen.simulate.machine import Grid, grid_of, machine_arrays
 from servogen.simulate.simulation import (
     METHODS,
     Simulation,
@@ -32,9 +33,6 @@ from servogen.simulate.simulation import (
 from servogen.simulate.sources import LoopSources, write_loop
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import compile_library
-
-HOLD_SUBSTEPS = 4
-"""Runge-Kutta steps between two ticks of a sampling controller: their error is far below that of the hold."""
 
 MOST_STEPS = 5_000_000
 _CHUNK = 4096
@@ -60,7 +58,7 @@ def simulate(
     scalar: Scalar = "float64",
     references: Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
-    hold: bool = False,
+    hold: float | bool | None = None,
     project: bool = True,
 ) -> Trajectory:
     """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
@@ -113,89 +111,130 @@ class ClosedLoop:
         step: float | None = None,
         references: Mapping[str, Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
-        hold: bool = False,
+        hold: float | bool | None = None,
         project: bool = True,
         method: str | None = None,
         progress: Progress | None = None,
+        plant: Mapping[str, Any] | None = None,
+        **machine: Any,
     ) -> Trajectory:
         """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
         start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
-        shortened so that it divides the duration. references: y and references by name, constant over the run; none
-        that the simulation moves, see Simulation.holding.
-        hold: the controller has one tick a step (`control`, or `step(dt)`) and tau is held in between, as in firmware;
-        otherwise it is called in every stage. project: controls-involved scenes first take the nearest tau with
-        phi = 0. progress: called with (steps done, steps) from time to time.
+        shortened so that it divides the duration, but with a `hold` in seconds both last as they say.
+        references: y and references by name, constant over the run; none that the simulation moves, see
+        Simulation.holding. parameters: of controller and plant; plant: of the plant alone.
+        hold: seconds between two ticks of the controller (`control`, or `step(dt)`), tau held in between, as in
+        firmware; True: one tick a step; None: as the simulation says. project: controls-involved scenes first take the
+        nearest tau with phi = 0. progress: called with (steps done, steps) from time to time.
+        machine: actuators, noise, quantise, delay and seed, each before what the simulation says.
         """
-        duration, step, steps = self._grid(duration, step)
+        simulation = self._on(machine)
+        grid = self._grid(simulation, duration, step, hold)
         inputs = start_values(self.scene, self.simulation, start, references)
         for name in moving_references(self.scene, self.simulation, ca.SX.sym("t")):
             if name in (references or {}):
                 remedy = "hold its reference too (--reference, or Simulation.holding)"
                 raise SceneError(f"references: {name!r} moves in this simulation; {remedy}")
-        values = self._parameters(parameters or {})
         method = self.simulation.method if method is None else method
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
+        values, own = self._parameters(parameters or {}, plant or {})
+        setup = self._setup(simulation, grid, inputs, values, own, METHODS.index(method), project)
         began = time.perf_counter()
-        rows, marks, stop = self._integrate(inputs, values, step, steps, hold, project, METHODS.index(method), progress)
+        rows, marks, stop = self._integrate(setup, grid.steps // grid.row_every, progress)
         seconds = time.perf_counter() - began
-        found = self._trajectory(rows, marks, stop, inputs, values, step, hold, method)
+        found = self._trajectory(rows, marks, stop, inputs, values, own, grid, method)
         return replace(found, seconds=seconds)
 
-    def _grid(self, duration: float | None, step: float | None) -> tuple[float, float, int]:
+    def _on(self, machine: Mapping[str, Any]) -> Simulation:
+        """The simulation with another machine."""
+        known = ("actuators", "noise", "quantise", "delay", "seed")
+        for name in machine:
+            if name not in known:
+                raise TypeError(f"run() got an unexpected keyword {name!r}; of a machine there are {', '.join(known)}")
+        return replace(self.simulation, **{n: v for n, v in machine.items() if v is not None})
+
+    def _grid(
+        self, simulation: Simulation, duration: float | None, step: float | None, hold: float | bool | None
+    ) -> Grid:
         duration = self.simulation.duration if duration is None else float(duration)
         step = self.simulation.step if step is None else float(step)
-        for name, value in (("duration", duration), ("step", step)):
+        given = hold if hold is None or isinstance(hold, bool) else float(hold)
+        named = (("duration", duration), ("step", step), *((("hold", given),) if isinstance(given, float) else ()))
+        for name, value in named:
             if not (math.isfinite(value) and value > 0):
                 raise SceneError(f"{name} = {value}; give a positive number of seconds")
         if step > duration:
             raise SceneError(f"step {step:g} s is longer than duration {duration:g} s; give a shorter step")
-        steps = math.ceil(duration / step * (1 - 1e-12))
-        if steps > MOST_STEPS:
-            raise SceneError(f"duration {duration} s in steps of {step} s are {steps} steps; at most {MOST_STEPS}")
-        return duration, duration / steps, steps
+        grid = grid_of(simulation, duration, step, given)
+        if grid.steps > MOST_STEPS:
+            told = f"duration {duration} s in steps of {grid.step:g} s are {grid.steps} steps"
+            raise SceneError(f"{told}; at most {MOST_STEPS}")
+        return grid
 
-    def _parameters(self, given: Mapping[str, Any]) -> dict[str, FloatArray]:
+    def _parameters(
+        self, given: Mapping[str, Any], plant: Mapping[str, Any]
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+        """The controller's parameters, and the plant's."""
+        sizes = run_takes(self.scene)["parameters"]
         known = {f.name: np.asarray(f.default, float) for f in self.scene.parameters}
-        return known | checked(given, run_takes(self.scene)["parameters"], "parameters")
+        values = known | checked(given, sizes, "parameters")
+        own = self.simulation.plant if isinstance(self.simulation.plant, Mapping) else {}
+        return values, values | checked(own, sizes, "plant") | checked(plant, sizes, "plant")
 
-    def _integrate(
+    def _setup(
         self,
+        simulation: Simulation,
+        grid: Grid,
         inputs: dict[str, FloatArray],
         parameters: dict[str, FloatArray],
-        step: float,
-        steps: int,
-        hold: bool,
-        project: bool,
+        plant: dict[str, FloatArray],
         method: int,
-        progress: Progress | None,
-    ) -> tuple[FloatArray, Any, Stop]:
-        sizes = self._sizes()
-        dtype = np.dtype(self.scalar)
-        values = {
-            name: np.ascontiguousarray(np.concatenate([np.zeros(0), *arrays]), dtype)
-            for name, arrays in {
-                "parameters": list(parameters.values()),
-                **{name: [inputs[name]] for name in ("q", "u", "tau")},
-                "given": [inputs[f.name] for f in self._given],
-            }.items()
+        project: bool,
+    ) -> Setup:
+        arrays = {
+            "parameters": np.concatenate([np.zeros(0), *parameters.values()]),
+            "plant": np.concatenate([np.zeros(0), *plant.values()]),
+            **{name: inputs[name] for name in ("q", "u", "tau")},
+            "given": np.concatenate([np.zeros(0), *(inputs[f.name] for f in self._given)]),
+            **machine_arrays(self.scene, simulation, grid.step / grid.substeps),
         }
-        substeps = HOLD_SUBSTEPS if hold else 1
+        dtype = np.dtype(self.scalar)
+        return Setup(
+            {name: np.ascontiguousarray(values, dtype) for name, values in arrays.items()},
+            {"step": grid.step, "tick": grid.hold or grid.step},
+            {
+                "substeps": grid.substeps,
+                "steps": grid.steps,
+                "row_every": grid.row_every,
+                "tick_every": grid.tick_every,
+                "delay": grid.delay,
+                "seed": int(simulation.seed),
+                "method": method,
+                "hold": int(grid.hold is not None),
+                "project": int(project),
+            },
+        )
+
+    def _integrate(self, setup: Setup, steps: int, progress: Progress | None) -> tuple[FloatArray, Any, Stop]:
+        """Rows (at most steps + 1), their marks, and the end."""
+        sizes = self._sizes()
         if self.target != "host":
-            start = Setup(values, step, substeps, steps, method, hold, project)
             work = Path(self._folder.name) / "board"
-            rows, marks, (reason, detail, t) = run_on_board(self._sources, sizes, start, self.scalar, self.target, work)
+            rows, marks, (reason, detail, t) = run_on_board(self._sources, sizes, setup, self.scalar, self.target, work)
             return rows, marks, self._stop(reason, detail, t)
-        rows = np.zeros((steps + 1, sum(sizes) + 2), dtype)
-        marks = np.zeros((steps + 1, 2), np.int32)
+        rows = np.zeros((steps + 1, sum(sizes) + 2), np.dtype(self.scalar))
+        marks = np.zeros((steps + 1, 3), np.int32)
         record = _Record(*sizes, steps + 1, 0, rows.ctypes.data, marks.ctypes.data)
         reals = _structs(self.scalar)
-        setup = reals.Setup(*(a.ctypes.data for a in values.values()), step, substeps, steps, method, hold, project)
+        given = reals.Setup(
+            *(a.ctypes.data for a in setup.arrays.values()), *setup.reals.values(), *setup.numbers.values()
+        )
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
         stop = reals.Stop()
         sink, user = self._library.sim_keep, ct.byref(record)
-        reason = self._call("begin", run, ct.byref(setup), sink, user)
+        reason = self._call("begin", run, ct.byref(given), sink, user)
         while True:
             count = _CHUNK if reason == 0 else 0
             reason = self._call("advance", run, ct.c_uint32(count), sink, user, ct.byref(stop))
@@ -226,39 +265,42 @@ class ClosedLoop:
         stop: Stop,
         inputs: dict[str, FloatArray],
         parameters: dict[str, FloatArray],
-        step: float,
-        hold: bool,
+        plant: dict[str, FloatArray],
+        grid: Grid,
         method: str,
     ) -> Trajectory:
         edges = np.cumsum([1, *self._sizes()])
         t, q, u, tau, constraint, sigma_min = np.split(rows, edges, axis=1)
         given = {f.name: inputs[f.name] for f in self._given}
         columns = {"t": t, "q": q, "u": u, "tau": tau} | {
-            n: np.tile(v, (len(t), 1)) for n, v in {**parameters, **given}.items()
+            n: np.tile(v, (len(t), 1)) for n, v in {**plant, **given}.items()
         }
         columns |= self._moving(t[:, 0].astype(float))
         outputs = self._evaluate(self.simulation.outputs, columns)
         first = {n: v[0] for n, v in columns.items()} if len(t) else {}
+        step = grid.step * grid.row_every
         return Trajectory(
             scene=self.scene.name,
             kind=self.scene.kind,
             step=step,
-            hold=hold,
+            hold=grid.hold,
             method=method,
             t=t[:, 0],
             q=q,
             u=u,
             tau=tau,
             constraint=constraint,
-            ideal=ideal_decay(self.scene, first, step, len(t)) if first else constraint,
+            ideal=ideal_decay(self.scene, first, step, len(t), parameters) if first else constraint,
             status=marks[:, 0],
             rank=marks[:, 1],
+            limited=marks[:, 2],
             sigma_min=sigma_min[:, 0],
             stop=stop,
-            claim=claim_of(self.scene, self.simulation, parameters, step if hold else None),
+            claim=claim_of(self.scene, self.simulation, parameters, grid.hold),
             outputs=outputs,
             decay=self._decay(outputs, columns),
             parameters=parameters,
+            plant=plant,
             inputs=given,
         )
 
@@ -303,12 +345,14 @@ class _Record(ct.Structure):
 def _structs(scalar: Scalar) -> Any:
     """The C structs that hold reals: <prefix>_setup and sim_stop."""
     real = ct.c_double if scalar == "float64" else ct.c_float
-    arrays = [(n, ct.c_void_p) for n in ("parameters", "q", "u", "tau", "given")]
-    counts = [(n, ct.c_uint32) for n in ("substeps", "steps")]
+    names = ("parameters", "plant", "q", "u", "tau", "given", "limit", "slew", "keep", "mean", "noise", "quantum")
+    arrays = [(n, ct.c_void_p) for n in names]
+    times = [(n, real) for n in ("step", "tick")]
+    counts = [(n, ct.c_uint32) for n in ("substeps", "steps", "row_every", "tick_every", "delay", "seed")]
     flags = [(n, ct.c_int) for n in ("method", "hold", "project")]
 
     class Structs:
-        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, ("step", real), *counts, *flags]})
+        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, *times, *counts, *flags]})
         Stop = type("Stop", (ct.Structure,), {"_fields_": [("reason", ct.c_int), ("detail", ct.c_int), ("t", real)]})
 
     return Structs

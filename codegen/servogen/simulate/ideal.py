@@ -14,15 +14,29 @@ from servogen.scene.scene import Scene
 from servogen.simulate.simulation import known_symbols
 
 
-def ideal_decay(scene: Scene, start: dict[str, FloatArray], step: float, count: int) -> FloatArray:
+def ideal_decay(
+    scene: Scene,
+    start: dict[str, FloatArray],
+    step: float,
+    count: int,
+    parameters: Mapping[str, FloatArray] | None = None,
+) -> FloatArray:
     """psi (phi) at 0, step, 2 step, ... that starts as the scene does and obeys Theta: (count, m).
 
-    start: every parameter and input at t = 0, by name. psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi.
+    start: every parameter and input at t = 0, by name. parameters: the controller's, of which Theta is made, where the
+    plant has others. psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi.
     """
-    return np.hstack([_one(scene, c, start, step, count) for c in scene.constraints])
+    return np.hstack([_one(scene, c, start, start | dict(parameters or {}), step, count) for c in scene.constraints])
 
 
-def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], step: float, count: int) -> FloatArray:
+def _one(
+    scene: Scene,
+    constraint: Constraint,
+    start: dict[str, FloatArray],
+    controller: dict[str, FloatArray],
+    step: float,
+    count: int,
+) -> FloatArray:
     state = expression_of(constraint)
     if isinstance(constraint, Holonomic):
         matrix = companion(constraint.Theta1, constraint.Theta2)
@@ -30,7 +44,7 @@ def _one(scene: Scene, constraint: Constraint, start: dict[str, FloatArray], ste
     else:
         matrix = constraint.Theta
     now = value_at(scene, state, start).ravel()
-    forward = expm(value_at(scene, matrix, start) * step)
+    forward = expm(value_at(scene, matrix, controller) * step)
     states = np.empty((count, len(now)))
     for k in range(count):
         states[k] = now

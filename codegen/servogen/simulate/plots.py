@@ -115,7 +115,7 @@ def _figure(trajectory: Trajectory, panels: Sequence[Panel], size: tuple[float, 
 def _title(trajectory: Trajectory) -> str:
     way = f"{METHOD_NAMES[trajectory.method]}, h = {trajectory.step:g} s"
     if trajectory.hold:
-        way = f"tau held for {trajectory.step:g} s"
+        way = f"tau held for {trajectory.hold:g} s"
     return f"{trajectory.scene}: generated C in closed loop, {way}"
 
 

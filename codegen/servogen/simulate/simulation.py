@@ -11,9 +11,11 @@ from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
+from servogen.scene.mechanism import Mechanism
 from servogen.scene.polylines import polylines
 from servogen.scene.scene import Scene
 from servogen.scene.symbols import Field, chains
+from servogen.simulate.machine import Actuators, check_readings, machine_arrays, plant_scene
 
 METHODS = ("rk4", "dop8")
 """The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
@@ -44,6 +46,15 @@ class Simulation:
     drawing: the mechanism as polylines, for the report: [[a, b, c], [target]], each a list of points, 2 or 3 entries of
         SX of q, u, tau, t, parameters and references (or a matrix with points as columns); a single point is a mark. In
         space z points upwards. None: a robot of sg.urdf draws itself, other mechanisms are not drawn.
+
+    The machine, by default exactly the controller's model, without flaws:
+    plant: its own values of parameters, {"m": 2.0}; or another sg.Mechanism of as many q, u and tau.
+    actuators: sg.Actuators(limit, rate, lag). noise: standard deviation of what is read of q and u, {"q": 1e-4};
+        normal. quantise: the steps that it comes in. delay: from reading to acting, seconds.
+    hold: seconds between two ticks of a controller that samples; tau is held in between. None: one tick a row where
+        there are actuators, noise, quantisation or a delay; else the controller acts at every instant.
+    disturbance: {"P": ..., "tau": ...}: forces beside P, or beside the controls, as numbers or functions of time.
+    seed: of the noise, a whole number below 2^32.
     """
 
     start: Mapping[str, Any] = field(default_factory=dict)
@@ -60,9 +71,20 @@ class Simulation:
     domain: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     tolerance: float | Mapping[str, float] | None = None
     drawing: Any = None
+    plant: Mapping[str, Any] | Mechanism = field(default_factory=dict)
+    actuators: Actuators | None = None
+    noise: Mapping[str, Any] = field(default_factory=dict)
+    quantise: Mapping[str, Any] = field(default_factory=dict)
+    delay: float = 0.0
+    hold: float | None = None
+    disturbance: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        for what in ("start", "outputs", "decay", "stop", "references", "units", "domain"):
+        for what in (
+            *("start", "outputs", "decay", "stop", "references", "units", "domain"),
+            *("noise", "quantise", "disturbance"),
+        ):
             if not isinstance(getattr(self, what), Mapping):
                 raise SceneError(f"simulation: {what} = {getattr(self, what)!r}; give {{'name': ...}}")
         for what in ("outputs", "stop"):
@@ -76,6 +98,7 @@ class Simulation:
         _check_tolerance(self.tolerance)
         if self.drawing is not None:
             object.__setattr__(self, "drawing", polylines(self.drawing, "simulation: drawing"))
+        self._check_machine()
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -83,6 +106,22 @@ class Simulation:
                 raise SceneError(f"simulation: decay[{name!r}] belongs to no output; add it to outputs")
         decay = {n: tuple(_scalar(e, f"simulation: decay[{n!r}]") for e in pair) for n, pair in self.decay.items()}
         object.__setattr__(self, "decay", decay)
+
+    def _check_machine(self) -> None:
+        if not isinstance(self.plant, Mapping | Mechanism):
+            got = type(self.plant).__name__
+            raise SceneError(f"simulation: plant is a {got}; give {{'parameter': value}}, or an sg.Mechanism")
+        if not isinstance(self.actuators, Actuators | None):
+            got = type(self.actuators).__name__
+            raise SceneError(f"simulation: actuators is a {got}; give sg.Actuators(limit=..., rate=..., lag=...)")
+        for what in ("noise", "quantise"):
+            object.__setattr__(self, what, check_readings(getattr(self, what), what))
+        if not _positive(self.delay) and self.delay != 0:
+            raise SceneError(f"simulation: delay = {self.delay!r}; give seconds, 0 for none")
+        if self.hold is not None and not _positive(self.hold):
+            raise SceneError(f"simulation: hold = {self.hold!r}; give seconds between two ticks, or None")
+        if not isinstance(self.seed, int | np.integer) or not 0 <= self.seed < 2**32:
+            raise SceneError(f"simulation: seed = {self.seed!r}; give a whole number from 0 to 2^32 - 1")
 
     @property
     def events(self) -> tuple[str, ...]:
@@ -115,6 +154,11 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     _resting_references(scene, simulation)
     _check_run_domain(scene, simulation)
     names = {"psi", "phi", "drawing", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
+    if isinstance(simulation.plant, Mapping):
+        checked(simulation.plant, run_takes(scene)["parameters"], "plant")
+    plant_scene(scene, simulation)
+    machine_arrays(scene, simulation, 1.0)
+    names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
             raise SceneError(

@@ -13,6 +13,7 @@ from servogen.plan.module import Module, StructField
 from servogen.render.render import environment, render
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
+from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation, moving_references
 from servogen.tools import firmware_sim
 from servogen.version import VERSION
@@ -41,14 +42,14 @@ class LoopSources:
     def sources(self) -> tuple[Path, ...]:
         """C files beside the controller's."""
         packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch, self.guide) if p is not None]
-        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "record.c")]
+        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "machine.c", "record.c")]
         return (self.folder / f"{self.controller.prefix}_loop.c", *packages, *hand_written)
 
 
 def write_loop(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> LoopSources:
     """Generate the closed loop into `out`, a folder for each package and one for the loop."""
     controller = build(scene, out / "controller", scalar)
-    plant = build_plant(scene, out / "plant", scalar)
+    plant = build_plant(plant_scene(scene, simulation), out / "plant", scalar)
     watch = _build_watch(scene, simulation, out / "watch", scalar) if simulation.stop else None
     guide = _build_guide(scene, simulation, out / "guide", scalar) if simulation.references else None
     folder = out / "loop"

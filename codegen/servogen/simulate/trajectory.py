@@ -47,8 +47,11 @@ class Trajectory:
 
     q (N, n_q), u (N, n_u), tau (N, l) as applied at t, constraint (N, m): psi, or phi of a controls-involved scene;
     ideal (N, m): the same as prescribed by Theta from the start on.
-    status (N,), rank (N,), sigma_min (N,): of the controller at t. outputs: name -> (N,); decay: name -> (N,), what the
-    output ought to be. parameters and inputs (y and references at t = 0): as used. step: between rows, seconds.
+    status (N,), rank (N,), sigma_min (N,): of the controller at t; of one that samples, the worst status since the row
+    before, the others at the last tick. limited (N,): bit k is set where an actuator held control k back since then.
+    outputs: name -> (N,); decay: name -> (N,), what the output ought to be. parameters (the controller's), plant (the
+    plant's) and inputs (y and references at t = 0): as used.
+    step: between rows; hold: between ticks, None where the controller acts at every instant; seconds.
     claim: what the run is held to, see verdict.
     method: of the integration; seconds: that it took on this machine.
     """
@@ -56,7 +59,7 @@ class Trajectory:
     scene: str
     kind: Kind
     step: float
-    hold: bool
+    hold: float | None
     method: str
     t: FloatArray
     q: FloatArray
@@ -66,12 +69,14 @@ class Trajectory:
     ideal: FloatArray
     status: NDArray[np.int32]
     rank: NDArray[np.int32]
+    limited: NDArray[np.int32]
     sigma_min: FloatArray
     stop: Stop
     claim: Claim
     outputs: dict[str, FloatArray] = field(default_factory=dict)
     decay: dict[str, FloatArray] = field(default_factory=dict)
     parameters: dict[str, FloatArray] = field(default_factory=dict)
+    plant: dict[str, FloatArray] = field(default_factory=dict)
     inputs: dict[str, FloatArray] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -129,7 +134,7 @@ def with_unit(value: float, unit: str | None, digits: int = 3) -> str:
 
 def rows_that_differ(a: Trajectory, b: Trajectory) -> int:
     """Rows in which two runs differ in any bit; those that only one of them has count too."""
-    fields = ("t", "q", "u", "tau", "constraint", "sigma_min", "status", "rank")
+    fields = ("t", "q", "u", "tau", "constraint", "sigma_min", "status", "rank", "limited")
     common = min(len(a.t), len(b.t))
     unlike = np.zeros(common, bool)
     for name in fields:

@@ -57,16 +57,18 @@ def judge(run: "Trajectory") -> Verdict:
     off = _off(run)
     if findings:
         first = findings[0]
+        advice = f"{_another_plant(run)}{first.advice}"
         later = "".join(f"; then, at t = {f.t:.4g} s, {f.told}" for f in findings[1:])
-        return Verdict(first.word, f"At t = {first.t:.4g} s {first.told}{later}; {off.clause}.", first.advice)
+        return Verdict(first.word, f"At t = {first.t:.4g} s {first.told}{later}; {off.clause}.", advice)
     if off.since is not None or off.growing:
-        return Verdict("not held", f"{_capital(off.clause)}.", _advice_where_off(run))
+        return Verdict("not held", f"{_capital(off.clause)}.", f"{_another_plant(run)}{_advice_where_off(run)}")
     return Verdict("held", f"{_capital(off.clause)}; for {run.t[-1]:.4g} s q and u stayed within {_sources(run)}.", "")
 
 
 def _findings(run: "Trajectory") -> Iterator[_Finding]:
     yield from _left(run)
     yield from _inconsistent(run)
+    yield from _limited(run)
     yield from _ended(run)
 
 
@@ -114,6 +116,26 @@ def _inconsistent(run: "Trajectory") -> Iterator[_Finding]:
             "(sg.Simulation(sigma_min=...) stops before it), or allow a compromise near it (sg.Solver(damping=...))."
         )
         yield _Finding(float(run.t[first]), "inconsistent", told, advice)
+
+
+def _limited(run: "Trajectory") -> Iterator[_Finding]:
+    """Actuators that held a command back, where psi has left its decay since."""
+    rows = np.flatnonzero(run.limited)
+    since = _off(run).since
+    if not len(rows) or since is None or since < run.t[rows[0]]:
+        return
+    masks = int(np.bitwise_or.reduce(run.limited))
+    names = ", ".join(f"tau[{k}]" for k in range(run.tau.shape[1]) if masks >> k & 1)
+    largest = int(np.argmax(np.max(np.abs(run.tau), axis=0)))
+    told = (
+        f"actuators held {names} back at a limit or a rate; so at {len(rows):,} of {len(run.t):,} rows (largest "
+        f"control {_number(np.max(np.abs(run.tau)), run.claim.tau_units[largest])})"
+    )
+    advice = (
+        "Ask for less: slower errors (Theta), slower references, a nearer start; or give the actuators more, or tell "
+        "the controller of their limits."
+    )
+    yield _Finding(float(run.t[rows[0]]), "limited", told, advice)
 
 
 def _ended(run: "Trajectory") -> Iterator[_Finding]:
@@ -177,6 +199,15 @@ def _off(run: "Trajectory") -> _Off:
     return _Off(None, False, f"{what} ({tolerance})")
 
 
+def _another_plant(run: "Trajectory") -> str:
+    """Where the plant's parameters are not the controller's, that first."""
+    own = [n for n, v in run.plant.items() if not np.array_equal(v, run.parameters[n])]
+    if not own:
+        return ""
+    told = ", ".join(f"{n} = {_list(run.plant[n])} where the controller takes {_list(run.parameters[n])}" for n in own)
+    return f"The plant has {told}: the nearer the controller's is, the better. "
+
+
 def _advice_where_off(run: "Trajectory") -> str:
     regularised = int(np.sum(run.status == Status.REGULARISED))
     if regularised:
@@ -209,6 +240,10 @@ def _sources(run: "Trajectory") -> str:
 
 def _number(value: Any, unit: str = "") -> str:
     return f"{value:.4g} {unit}".rstrip()
+
+
+def _list(values: Any) -> str:
+    return ", ".join(_number(x) for x in values)
 
 
 def _capital(sentence: str) -> str:
