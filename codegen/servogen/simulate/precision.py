@@ -37,6 +37,17 @@ MOST_EVALUATIONS = 20_000
 """Of the loop under DOP853; a smooth one takes some thousands."""
 
 
+_NO_FLAWS: dict[str, Any] = {
+    "plant": {},
+    "actuators": None,
+    "noise": {},
+    "quantise": {},
+    "delay": 0.0,
+    "hold": None,
+    "disturbance": {},
+}
+
+
 class NotSmooth(RuntimeError):  # noqa: N818, the name says it
     """The loop's right side jumps: no integrator of high order gets through it at a tight tolerance."""
 
@@ -101,9 +112,7 @@ def measure(
 
     Runs that end early are left out. Raises NotSmooth.
     """
-    nothing: dict[str, Any] = {}
-    simulation = replace(simulation, plant=nothing, actuators=None, noise=nothing, quantise=nothing, delay=0.0, hold=None,
-                         disturbance=nothing)  # fmt: skip
+    simulation = replace(simulation, **_NO_FLAWS)
     loops = {scalar: ClosedLoop(scene, simulation, scalar) for scalar in scalars}
     first = next(iter(loops.values())).run(duration=duration, step=duration)
     end = tight_end(scene, simulation, duration, first)

@@ -153,12 +153,11 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     moving_references(scene, simulation, ca.SX.sym("t"))
     _resting_references(scene, simulation)
     _check_run_domain(scene, simulation)
-    names = {"psi", "phi", "drawing", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     if isinstance(simulation.plant, Mapping):
         checked(simulation.plant, run_takes(scene)["parameters"], "plant")
     plant_scene(scene, simulation)
     machine_arrays(scene, simulation, 1.0)
-    names = {"psi", "phi", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
+    names = {"psi", "phi", "drawing", *simulation.outputs, *(n for n, _ in known_symbols(scene))}
     for name in simulation.units:
         if name not in names:
             raise SceneError(
