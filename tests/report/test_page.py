@@ -3,11 +3,14 @@
 import json
 import re
 import xml.etree.ElementTree as ET
+from threading import Event
 
 import pytest
+from servogen.cli.report import exit_code
 from servogen.loading import load_scene
 from servogen.report.collect import Wishes, collect
 from servogen.report.page import render_page
+from servogen.report.scene_work import STAGES
 
 pytestmark = pytest.mark.xdist_group("page")  # one process makes the fixture
 
@@ -82,6 +85,16 @@ def test_a_start_that_is_refused_is_named(tmp_path):
     page = render_page(report)
     assert "<strong>refused: OVERFLOW</strong>" in page
     assert "The controller refused the start:" in page
+
+
+def test_a_page_of_nothing_says_so_and_the_command_was_interrupted(tmp_path):
+    interrupted = Event()
+    interrupted.set()
+    report = collect(["unicycle_path", "spacecraft"], Wishes(tmp_path), interrupted=interrupted)
+    page = render_page(report)
+    assert page.count("not begun: stopped by Ctrl-C") >= 2 * len(STAGES)
+    assert not report.problems
+    assert (exit_code(report, True), exit_code(report, False)) == (130, 0)
 
 
 def test_figures_of_the_loop_have_their_units(page):

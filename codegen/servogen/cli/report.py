@@ -74,7 +74,7 @@ def report_command(
         for text in report.problems:
             complain("FAILED", text)
         out.print(f"wrote {page}", markup=False, soft_wrap=True)
-    raise click.exceptions.Exit(_exit_code(report, interrupted.is_set()))
+    raise click.exceptions.Exit(exit_code(report, interrupted.is_set()))
 
 
 def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]:
@@ -91,7 +91,8 @@ def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]
     return {"page": page, "passed": good, "problems": report.problems, "skipped": report.skipped, "scenes": scenes}
 
 
-def _exit_code(report: Report, interrupted: bool) -> int:
+def exit_code(report: Report, interrupted: bool) -> int:
+    """Ctrl-C, a scene at fault, a check that failed, or good: the first of these that is so."""
     if interrupted:
         return INTERRUPTED
     if report.wrong_input:
