@@ -1,11 +1,16 @@
 """The whole page of one scene, built as `servogen report` builds it."""
 
+import json
 import re
+import xml.etree.ElementTree as ET
+from threading import Event
 
 import pytest
+from servogen.cli.report import exit_code
 from servogen.loading import load_scene
 from servogen.report.collect import Wishes, collect
 from servogen.report.page import render_page
+from servogen.report.scene_work import STAGES
 
 pytestmark = pytest.mark.xdist_group("page")  # one process makes the fixture
 
@@ -26,10 +31,45 @@ def test_nothing_failed_and_nothing_comes_from_the_network(page):
     assert not re.search(r'(?:src|href)="https?:', page)
 
 
-def test_the_top_gives_the_loops_verdict(page):
-    line = re.search(r"<td>unicycle_path in closed loop</td>.*", page)[0]
-    assert re.search(r"was off its prescribed decay by at most \S+, at t = \S+ s \(tolerance ", line)
-    assert '<td class="good">held</td>' in line
+def test_the_verdict_comes_first_then_the_loop_then_the_formulas(page):
+    card = re.search(
+        r'<div class="card held"><p><span>The closed loop:</span> <strong>held</strong></p><p>(.*?)</p>', page
+    )
+    assert re.search(r"was off its prescribed decay by at most \S+, at t = \S+ s \(tolerance ", card[1])
+    order = [page.index(x) for x in ("<strong>held", "<h3>The closed loop<", 'class="motion"', 'class="plot"', "<math")]
+    assert order == sorted(order)
+    assert "passed" not in page
+
+
+def test_pictures_are_well_formed_light_and_apart(page):
+    pictures = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
+    assert len(pictures) > 8
+    named = []
+    for picture in pictures:
+        root = ET.fromstring(picture.replace("xlink:href", "href"))
+        assert root.get("viewBox") or root.get("width")
+        own = [e.get("id") for e in root.iter() if e.get("id")]
+        used = re.findall(r"#([\w-]+?)[\")]", picture)
+        assert {u for u in used if u in picture and not re.fullmatch("[0-9a-f]{6}", u)} <= set(own)
+        named += own
+        assert len(picture) < 60_000
+    assert len(named) == len(set(named))
+
+
+def test_the_motion_is_data_beside_a_still_picture(page):
+    motion = json.loads(re.search(r'<script type="application/json">(.*?)</script>', page)[1])
+    assert motion["t"][0] == 0
+    assert motion["t"][-1] == 10
+    assert len(motion["poses"]) == len(motion["t"])
+    assert {len(pose) for pose in motion["poses"]} == {2 * sum(motion["sizes"])}
+    still = re.search(r'<g class="pose">(.*?)</g>', page)[1]
+    shown = [float(x) for points in re.findall(r'points="([^"]*)"', still) for x in re.split("[ ,]", points)]
+    assert shown == motion["poses"][-1]
+    assert page.count('<g class="ghosts"><polyline') == 1
+
+
+def test_what_is_left_out_is_said(page):
+    assert "<li>no board in this test</li>" in page
 
 
 def test_a_start_that_is_refused_is_named(tmp_path):
@@ -42,7 +82,19 @@ def test_a_start_that_is_refused_is_named(tmp_path):
     )
     without = tuple((stage, "not wanted") for stage in ("check", "board", "speed", "precision"))
     report = collect([str(file)], Wishes(tmp_path, without=without))
-    assert "controller: NONFINITE" in render_page(report)
+    page = render_page(report)
+    assert "<strong>refused: OVERFLOW</strong>" in page
+    assert "The controller refused the start:" in page
+
+
+def test_a_page_of_nothing_says_so_and_the_command_was_interrupted(tmp_path):
+    interrupted = Event()
+    interrupted.set()
+    report = collect(["unicycle_path", "spacecraft"], Wishes(tmp_path), interrupted=interrupted)
+    page = render_page(report)
+    assert page.count("not begun: stopped by Ctrl-C") >= 2 * len(STAGES)
+    assert not report.problems
+    assert (exit_code(report, True), exit_code(report, False)) == (130, 0)
 
 
 def test_figures_of_the_loop_have_their_units(page):

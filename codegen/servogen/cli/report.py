@@ -38,7 +38,7 @@ from servogen.verify.harness import require_target
 @click.option("--peers", is_flag=True, help="Benchmark against whole rivals, and ours less each pass.")
 @click.option(
     "--cap", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
-    help="Most seconds for each stage of a scene; default by stage, from 60 to 600. What takes longer is skipped.",
+    help="Most seconds for each stage of a scene; default by stage, from 120 to 600. What takes longer is skipped.",
 )  # fmt: skip
 @json_option
 def report_command(
@@ -53,7 +53,8 @@ def report_command(
 ) -> None:
     """Generate, simulate, cross-check and benchmark SCENE...; one self-contained HTML page, and the files beside it.
 
-    Ctrl-C ends the stage that runs; the page then shows what was done until then, and says what is missing.
+    Ctrl-C ends the stage that runs; the page then shows what was done until then, and says what is missing. Exit code 0
+    where the generated code is right; whether the loop was held is a verdict on the page and in --json.
     """
     names = chosen(scenes, every)
     without: tuple[tuple[str, str], ...] = ()
@@ -73,16 +74,25 @@ def report_command(
         for text in report.problems:
             complain("FAILED", text)
         out.print(f"wrote {page}", markup=False, soft_wrap=True)
-    raise click.exceptions.Exit(_exit_code(report, interrupted.is_set()))
+    raise click.exceptions.Exit(exit_code(report, interrupted.is_set()))
 
 
 def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]:
-    scenes = {s.name: {"check": s.check, "board": s.board, "missing": s.missing} for s in report.scenes}
+    scenes = {
+        s.name: {
+            "verdict": None if s.loop is None else s.loop.trajectory.verdict,
+            "check": s.check,
+            "board": s.board,
+            "missing": s.missing,
+        }
+        for s in report.scenes
+    }
     good = not report.problems and not interrupted
     return {"page": page, "passed": good, "problems": report.problems, "skipped": report.skipped, "scenes": scenes}
 
 
-def _exit_code(report: Report, interrupted: bool) -> int:
+def exit_code(report: Report, interrupted: bool) -> int:
+    """Ctrl-C, a scene at fault, a check that failed, or good: the first of these that is so."""
     if interrupted:
         return INTERRUPTED
     if report.wrong_input:

@@ -40,7 +40,7 @@ class SceneReport:
     def problems(self) -> tuple[str, ...]:
         """What a check found, or kept a stage from ending."""
         found = [text for report in (self.check, self.board) if report is not None for text in report.problems]
-        return (*found, *(f"{self.name}: {m}" for m in self.missing.values() if m.kind == "failed"))
+        return (*dict.fromkeys(found), *(f"{self.name}: {m}" for m in self.missing.values() if m.kind == "failed"))
 
     @property
     def skipped(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ def write_page(report: Report, file: Path) -> None:
 
 def render_page(report: Report) -> str:
     """The HTML of a report."""
-    pages().filters.update(figure=_figure, ulps=_ulps)
+    pages().filters.update(figure=_figure, ulps=_ulps, raised=_raised)
     return (
         pages()
         .get_template("report.html.j2")
@@ -54,6 +54,13 @@ def _ulps(value: float | None) -> str:
     return _figure(0.0 if value is not None and value < 1e-3 else value)
 
 
+def _raised(text: str) -> str:
+    """The powers in a line of words."""
+    for power, sign in (("^-1", "⁻¹"), ("^T", "ᵀ"), ("^+", "⁺"), ("^2", "²")):
+        text = text.replace(power, sign)
+    return text
+
+
 @dataclass(frozen=True)
 class Card:
     """One answer at the top of a scene: what is judged, the judgement in a word, whether it is good, and a sentence."""
@@ -65,7 +72,7 @@ class Card:
 
 
 def _cards(scene: SceneReport) -> list[Card]:
-    """The judgements of a scene: its loop, then its generated code."""
+    """The judgements of a scene, the loop's first: what else is judged of a scene stands beside it."""
     cards = []
     if scene.loop is not None:
         verdict = scene.loop.trajectory.verdict

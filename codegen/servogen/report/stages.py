@@ -16,6 +16,7 @@ from threading import Event, Thread
 from typing import Any, Literal
 
 from servogen.errors import SceneError
+from servogen.tools import ToolMissing
 
 NOT_BEGUN = "not begun: stopped by Ctrl-C"
 _GLANCE = 0.1  # seconds between two looks at the clock and at Ctrl-C
@@ -34,9 +35,13 @@ class Stage:
     needed: bool = False
 
 
+class Skipped(RuntimeError):  # noqa: N818, the name says it
+    """Raised by a stage that has nothing to say here; the message says why."""
+
+
 @dataclass(frozen=True)
 class Missing:
-    """A stage without a result, and why. wrong_input: what the user gave was at fault."""
+    """A stage without a result, and why. wrong_input: the scene, or what this machine lacks, is at fault."""
 
     text: str
     kind: Literal["skipped", "failed", "interrupted"]
@@ -107,10 +112,10 @@ class _Child:
                 return Missing(stage.text, "failed", f"its process ended with exit code {self._process.exitcode}")
             if kind == "remark":
                 warnings.warn(content[0], stacklevel=2)
-            elif kind == "failed":
-                return Missing(stage.text, "failed", *content)
-            else:
+            elif kind == "done":
                 return content[0]
+            else:
+                return Missing(stage.text, kind, *content)
 
     def end(self) -> None:
         """Ends it and what it has started: compilers, emulators."""
@@ -137,7 +142,8 @@ def _serve(
             work = make() if work is None else work
             answer: tuple[Any, ...] = ("done", getattr(work, method)())
         except Exception as error:
-            answer = ("failed", _told(error), isinstance(error, SceneError))
+            kind = "skipped" if isinstance(error, Skipped) else "failed"
+            answer = (kind, _told(error), isinstance(error, SceneError | ToolMissing))
         pipe.send(answer)
 
 

@@ -35,7 +35,8 @@ def motion_of(scene: Scene, simulation: Simulation, run: Trajectory) -> Motion |
     rows = np.unique(np.linspace(0, len(run.t) - 1, wanted).round().astype(int))
     t = run.t[rows].astype(float)
     known: dict[str, Any] = {"t": t, "q": run.q[rows], "u": run.u[rows], "tau": run.tau[rows]}
-    known |= {n: np.tile(v, (len(rows), 1)) for n, v in (run.parameters | run.inputs).items()}
+    machine = {n: run.plant.get(n, v) for n, v in run.parameters.items()}  # it is the plant that is drawn
+    known |= {n: np.tile(v, (len(rows), 1)) for n, v in (machine | run.inputs).items()}
     now = ca.SX.sym("t")
     for name, course in moving_references(scene, simulation, now).items():
         known[name] = np.array(ca.Function(name, [now], [ca.densify(course)]).map(len(rows))(t.reshape(1, -1))).T

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -239,11 +240,15 @@ def _spans_decades(values: FloatArray) -> bool:
 
 
 def _legend(axis: Any, count: int) -> None:
+    """Above the panel, in as many columns as its width has room for."""
     if count > 1:
         above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+        size = matplotlib.rcParams["legend.fontsize"]
+        letters = 72 * axis.figure.get_figwidth() / (0.6 * size) - 8  # of a row, less the axis
         longest = max(len(label) for label in axis.get_legend_handles_labels()[1])
-        columns = min(count, 4) if longest < 24 else 3
-        size = matplotlib.rcParams["legend.fontsize"] - (0 if longest < 24 else 2)
+        if count * (longest + 6) > 2 * letters:
+            size, letters = size - 2, letters * size / (size - 2)
+        columns = max(1, min(count, int(letters / (longest + 6))))
         axis.legend(ncols=columns, fontsize=size, handlelength=1.6, columnspacing=1.2, **above)
 
 
@@ -256,8 +261,20 @@ def _axis(name: str, unit: str | None) -> str:
 
 
 def _symbol_names(symbols: Any) -> list[str]:
-    """theta_0 as a Greek letter with an index, other names as they are."""
-    return [_symbol(s.name()) for s in symbols.nonzeros()]
+    """theta_0 as a Greek letter with an index, other names as they are; of long ones only the words that differ."""
+    names = [s.name() for s in symbols.nonzeros()]
+    words = [name.split("_") for name in names]
+    if len(names) > 1 and max(map(len, names)) > 12:
+        lead, trail = _common(words), _common([w[::-1] for w in words])
+        told = [" ".join(w[lead : len(w) - trail]) for w in words]
+        if all(told) and len(set(told)) == len(told):
+            return told
+    return [_symbol(name) for name in names]
+
+
+def _common(words: Sequence[Sequence[str]]) -> int:
+    """With how many words all begin."""
+    return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, zip(*words, strict=False)))
 
 
 def _symbol(name: str) -> str:

@@ -73,6 +73,7 @@ class Simulation:
     method: str = "rk4"
     domain: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     tolerance: float | Mapping[str, float] | None = None
+    drawing: Any = None
     plant: Mapping[str, Any] | Mechanism = field(default_factory=dict)
     actuators: Actuators | None = None
     noise: Mapping[str, Any] = field(default_factory=dict)
@@ -81,7 +82,6 @@ class Simulation:
     hold: float | None = None
     disturbance: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
     seed: int = 0
-    drawing: Any = None
     spread: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -100,9 +100,9 @@ class Simulation:
                 remedy = "give a positive number" + (", or None" if optional else "")
                 raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
         _check_tolerance(self.tolerance)
-        self._check_machine()
         if self.drawing is not None:
             object.__setattr__(self, "drawing", polylines(self.drawing, "simulation: drawing"))
+        self._check_machine()
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
