@@ -1,6 +1,6 @@
 """Error against the 50-digit truth, and what is answered at the boundary."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mpmath as mp
@@ -10,10 +10,11 @@ from servogen.bench.inputs import Inputs
 from servogen.bench.results import Boundary, Errors, Output
 from servogen.compiler import optimised_scene
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
-from servogen.law.steps import STATE, Evaluate, Multiply, React, Solve
+from servogen.law.steps import STATE
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.textbook.exact_steps import walk
 
 Truth = dict[Output, list[list[Any]]]
 """Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""
@@ -29,61 +30,13 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     for k, values in enumerate(evaluate_exactly(program.exact, columns)):
         for name, _ in formulation.law.inputs:
             values[STATE + name] = [mp.mpf(float(v)) for v in columns[name][k if len(columns[name]) > 1 else 0]]
-        for step in control.steps:
-            if not isinstance(step, Evaluate):
-                values[step.into] = _EXACT[type(step)](step, values)
+        walk(control.steps, values)
         S, z = values[system.matrix], values[system.right]
         result[Output.MATRIX].append(S)
         result[Output.RIGHT].append(z)
         result[Output.SYSTEM].append([*S, *z])
         result[Output.ANSWER].append(values[control.result])
     return result
-
-
-Values = dict[str, list[Any]]
-
-
-def _react(step: React, values: Values) -> list[Any]:
-    """J^T M^-1 right, Eq. (17); NaN where the rows of J are dependent."""
-    right, entries, jacobian = values[step.right], values[step.matrix], values[step.jacobian]
-    m, n = len(right), len(jacobian) // len(right)
-    with mp.workdps(DIGITS):
-        if not all(mp.isfinite(x) for x in (*entries, *right, *jacobian)):
-            return [mp.nan] * n
-        try:
-            force = mp.lu_solve(mp.matrix([entries[m * i : m * (i + 1)] for i in range(m)]), mp.matrix(right))
-        except ZeroDivisionError:
-            return [mp.nan] * n
-        return [mp.fsum(jacobian[n * i + c] * force[i] for i in range(m)) for c in range(n)]
-
-
-def _solve(step: Solve, values: Values) -> list[Any]:
-    l = len(values[step.matrix]) // len(values[step.right])
-    return _minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [mp.mpf(0)] * l))
-
-
-def _multiply(step: Multiply, values: Values) -> list[Any]:
-    with mp.workdps(DIGITS):
-        return [mp.fsum(values[step.entries][e] * values[step.vector][j] for e, j in row) for row in step.pattern]
-
-
-_EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {React: _react, Solve: _solve, Multiply: _multiply}
-
-
-def _minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
-    """y + S+ (z - S y) for S of full row or column rank; NaN where it has neither."""
-    with mp.workdps(DIGITS):
-        m, l = len(right), len(free)
-        if not all(mp.isfinite(x) for x in (*entries, *right, *free)):
-            return [mp.nan] * l
-        S = mp.matrix([entries[i * l : (i + 1) * l] for i in range(m)])
-        y = mp.matrix(free)
-        rest = mp.matrix(right) - S * y
-        try:
-            move = S.T * mp.lu_solve(S * S.T, rest) if m <= l else mp.lu_solve(S.T * S, S.T * rest)
-        except ZeroDivisionError:
-            return [mp.nan] * l
-        return list(y + move)
 
 
 def judge(values: FloatArray, exact: Sequence[list[Any]], scalar: Scalar) -> Errors:

@@ -177,9 +177,9 @@ def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, 
     m, l = solver.m, solver.l
     if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
         return y, np.inf
-    S = _rational(point.values[matrix], m, l)
+    S = rational(point.values[matrix], m, l)
     inverse = exact.pinv_full(S)
-    tau = exact.solution(S, inverse, _rational(point.values[right], m, 1), _rational(y, l, 1))
+    tau = exact.solution(S, inverse, rational(point.values[right], m, 1), rational(y, l, 1))
     sizes = np.array([float(v) for v in point.values[matrix]]).reshape(m, l)
     S_error, z_error = norm(point.bounds[matrix]), norm(point.bounds[right])
     sigma = np.linalg.svd(sizes, compute_uv=False)
@@ -187,7 +187,7 @@ def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, 
     if not np.isfinite(reach) or sigma[-1] == 0 or S_error > _TRUSTED * sigma[-1]:
         return y, np.inf
     rounding = BAR * solver.epsilon * sigma[0] / sigma[-1] * reach
-    rest = exact.rational(np.array([0.0])) if m <= l else S * tau - _rational(point.values[right], m, 1)
+    rest = exact.rational(np.array([0.0])) if m <= l else S * tau - rational(point.values[right], m, 1)
     residual = norm(exact.nearest(rest))
     carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
     smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
@@ -229,7 +229,7 @@ def norm(values: Any) -> float:
     return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
 
 
-def _rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
+def rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
     """mpf values as exact rationals."""
     return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
 

@@ -6,18 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mpmath as mp
 import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Multiply, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Solve
 from servogen.package import Package
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.textbook.exact_steps import walk
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
-from servogen.verify.answers import BAR
+from servogen.verify.answers import BAR, rational
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.truth import Truth, states_to_check
@@ -340,8 +342,8 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
         inexact = answer.info.status in (Status.REGULARISED, Status.RANK_DEFICIENT_INCONSISTENT)
         if status < 0 or answer.info.status < 0 or answer.info.rank < min(S.shape) or inexact:
             continue
-        recover = _recover(case, k)
-        worst = max(worst, _solve_error(S, z, _free_vector(case, k), answer.value, EPSILON[case.scalar], recover))
+        y, behind = _free_vector(case, k), _behind(case, k)
+        worst = max(worst, _solve_error(S, z, y, answer.value, EPSILON[case.scalar], behind))
         solved += 1
     return SolveCheck(case.scene.name, case.scalar, compiler, solved, worst)
 
@@ -374,30 +376,33 @@ def _system(
     return status, case.truth.points[k].rounded[step.matrix].reshape(case.scene.system_shape), z
 
 
-def _recover(case: _Case, k: int) -> FloatArray | None:
-    """L^-T of a weight by the scalar's own arithmetic."""
+def _behind(case: _Case, k: int) -> exact.Matrix | None:
+    """What the steps of control behind the solve make of its answer, a matrix, by the scalar's own quantities."""
     steps = case.truth.law.routine("control").steps
-    step = next((s for s in steps if isinstance(s, Multiply)), None)
-    if step is None:
+    solve = _solve_of(case)
+    behind = steps[steps.index(solve) + 1 :]
+    if not behind:
         return None
-    entries = case.truth.points[k].rounded[step.entries]
-    N = np.zeros((len(step.pattern), len(step.pattern)))
-    for i, row in enumerate(step.pattern):
-        for e, j in row:
-            N[i, j] = entries[e]
-    return N
+    values = {name: [mp.mpf(float(x)) for x in v] for name, v in case.truth.points[k].rounded.items()}
+    l = case.scene.controls
+    columns = []
+    for unit in np.eye(l):
+        values[solve.into] = [mp.mpf(x) for x in unit]
+        walk(behind, values)
+        columns.append(values[case.truth.law.routine("control").result])
+    return rational([columns[j][i] for i in range(len(columns[0])) for j in range(l)], len(columns[0]), l)
 
 
 def _solve_error(
-    S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float, recover: FloatArray | None = None
+    S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float, behind: exact.Matrix | None = None
 ) -> float:
-    """|tau - exact| / (u kappa(S) (|tau| + |y|)); with a weight times |L^-T|, sigma and L^T y for tau and y."""
+    """|tau - exact| / (u kappa(S) (|x| + |y|)) for the solve's answer x; times |N| where steps behind it make N x."""
     matrix = exact.rational(S)
     truth = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(z), exact.rational(y))
     reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))
-    if recover is not None:
-        truth = exact.rational(recover) * truth
-        reach *= float(np.linalg.norm(recover))
+    if behind is not None:
+        truth = behind * truth
+        reach *= float(np.linalg.norm(exact.nearest(behind)))
     error = float(np.linalg.norm(exact.difference(tau, truth)))
     if error == 0.0:
         return 0.0
