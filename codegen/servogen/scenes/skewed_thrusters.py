@@ -51,5 +51,5 @@ simulation = sg.Simulation(
     duration=8.0,
     step=1e-2,
     outputs={"speed": ca.norm_2(v)},
-    units={"u": "m/s, rad/s", "tau": "N", "speed": "m/s"},
+    units={"u": ["m/s"] * 3 + ["rad/s"] * 3, "tau": "N", "speed": "m/s"},
 )

@@ -1,6 +1,6 @@
 """Where a simulated run of a scene starts, how long it lasts, what is drawn and what stops it."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,7 +34,8 @@ class Simulation:
     sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
         or a control's magnitude exceeds the other.
     method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
-    units: of q, u, tau, psi (or phi) and the outputs by name, for the axes.
+    units: of q, u, tau, psi (or phi) and the outputs by name, for the axes: one for all entries, "m", or one for each,
+        ["m", "rad"] or "m, rad".
     """
 
     start: Mapping[str, Any] = field(default_factory=dict)
@@ -44,7 +45,7 @@ class Simulation:
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
     references: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, Any] = field(default_factory=dict)
     sigma_min: float | None = None
     tau_max: float | None = None
     method: str = "rk4"
@@ -62,6 +63,7 @@ class Simulation:
             if not (number and value > 0) and not (value is None and optional):
                 remedy = "give a positive number" + (", or None" if optional else "")
                 raise SceneError(f"simulation: {name} = {value!r}; {remedy}")
+        object.__setattr__(self, "units", {n: _units_text(n, u) for n, u in self.units.items()})
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -81,6 +83,20 @@ class Simulation:
         """The same with these references at rest, for a run that gives their values."""
         given = set(references)
         return replace(self, references={n: r for n, r in self.references.items() if n not in given})
+
+
+def _units_text(name: str, unit: object) -> str:
+    """One unit, or one for each entry with commas between."""
+    parts = [unit] if isinstance(unit, str) else list(unit) if isinstance(unit, Sequence) else [None]
+    if not all(isinstance(part, str) for part in parts):
+        raise SceneError(f"simulation: units[{name!r}] = {unit!r}; give text, or a list of it, one for each entry")
+    return ", ".join(map(str, parts))
+
+
+def units_of_entries(unit: str | None, count: int) -> list[str | None]:
+    """The unit of each of `count` entries, where they are told one by one; else the same text for all."""
+    parts: list[str | None] = [part.strip() for part in (unit or "").split(",")]
+    return parts if len(parts) == count else [unit] * count
 
 
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
@@ -103,6 +119,13 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
         if name not in names:
             raise SceneError(
                 f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
+            )
+    for name, symbol in known_symbols(scene):
+        told = simulation.units.get(name, "").count(",") + 1
+        if told not in (1, symbol.numel()):
+            raise SceneError(
+                f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {symbol.numel()} "
+                "entries; give one for all, or one for each"
             )
 
 
