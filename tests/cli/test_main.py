@@ -5,6 +5,7 @@ import inspect
 import json
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import casadi as ca
@@ -151,6 +152,17 @@ def test_a_full_disk_is_told_with_the_path(ends, monkeypatch, tmp_path):
     code, _, err = ends("generate", "crane", "--out", tmp_path)
     assert code == 2
     assert err.splitlines()[-1].startswith(f"error: {tmp_path}/crane.h: No space left on device; make room there")
+
+
+def test_a_compiler_without_room_is_no_wrong_compiler(ends, monkeypatch, tmp_path):
+    script = tmp_path / "full"
+    script.write_text("#!/bin/sh\necho 'x.c: fatal error: x.s: No space left on device' >&2\nexit 1\n")
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setattr("servogen.cli.simulate.load_simulation", lambda spec: (crane("crane"), sg.Simulation()))
+    code, _, err = ends("simulate", "crane", "--no-plots", "--out", tmp_path)
+    assert code == 2
+    assert f"error: {tempfile.gettempdir()}: No space left on device; make room there" in err
 
 
 @pytest.mark.filterwarnings("always:scene '")
