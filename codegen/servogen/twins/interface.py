@@ -85,10 +85,8 @@ class Twin(ABC):
             values[name] = _sized(value, sizes[name], name)
         missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
         if missing:
-            are = "are" if missing[1:] else "is"
-            raise TypeError(
-                f"{function}: {' and '.join(missing)} of scene {scene.name!r} {are} left out; give every state by keyword"
-            )
+            told, verb = " and ".join(missing), "are" if missing[1:] else "is"
+            raise TypeError(f"{function}: {told} of scene {scene.name!r} {verb} left out; give every state by keyword")
         return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
 
     def _needed(self, function: str) -> tuple[str, ...]:
