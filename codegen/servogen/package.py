@@ -52,6 +52,9 @@ class Package:
         """Compile the C on this machine and load it. compiler: default $CC, else cc."""
         from servogen.twins.compiled import load_package
 
+        if isinstance(flags, str):
+            raise TypeError(f"load: flags={flags!r} is text; give its words, {flags.split()!r}")
+
         return load_package(self, compiler, tuple(flags))
 
 

@@ -1,5 +1,6 @@
 """Finds the programs the harness drives, and says how to install those that are missing."""
 
+import errno
 import os
 import shlex
 import shutil
@@ -47,10 +48,13 @@ def compile_c(command: Sequence[str], flags: Sequence[str], more: Sequence[str],
     Raises:
         CompilerUnusable: with these flags it does not compile an empty function either.
         CompilerRefused: it does, but not `what`.
+        OSError: the disk is full.
     """
     run = subprocess.run([*command, *flags, *more], capture_output=True, text=True, errors="replace")
     if run.returncode == 0:
         return
+    if os.strerror(errno.ENOSPC) in run.stderr:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), tempfile.gettempdir())
     with tempfile.TemporaryDirectory(prefix="servogen-probe-") as folder:
         probe = Path(folder) / "probe.c"
         probe.write_text("void probe(void);\nvoid probe(void) {}\n")

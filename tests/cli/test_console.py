@@ -4,7 +4,7 @@ import io
 
 import pytest
 from rich.console import Console
-from servogen.cli import check, console
+from servogen.cli import bench, check, console
 from servogen.verify.check import CheckReport, OutputCheck, SolveCheck
 
 SCENES = ("crane", "double_pendulum_energy_and_path")
@@ -60,6 +60,26 @@ def test_a_narrow_table_says_what_its_parts_are(printed):
     assert lines[0] == "Costs"
     assert [line for line in lines if line in ("a", "b")] == ["a", "b"]
     assert page.count("1" * 25) == page.count("2" * 25) == 4
+
+
+def test_a_wide_table_parts_into_subjects(printed):
+    header = ("", "contender", *(f"figure {k}" for k in range(9)))
+    rows = [("S", "servogen f64", *(f"{k}.{'1' * 7}" for k in range(9)))]
+
+    def show():
+        console.table("Bench", header, rows, right=range(2, 11), apart=(5, 8))
+
+    narrow, wide = printed(80, show), printed(200, show)
+    assert max(map(len, narrow.splitlines())) <= 80
+    assert narrow.count("Bench") == wide.count("Bench") == 1
+    assert narrow.count("servogen f64") == 3
+    assert wide.count("servogen f64") == 1
+    for k in range(9):
+        assert narrow.count(f"figure {k}") == narrow.count(f"{k}.1111111") == 1
+
+
+def test_the_notes_of_a_bench_fit_into_a_terminal():
+    assert max(map(len, bench.NOTES)) <= 78
 
 
 def test_long_work_leaves_a_line_a_step_in_a_log(monkeypatch):

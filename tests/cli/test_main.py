@@ -1,12 +1,20 @@
 """How the command ends: one line or one object, and an exit code, whatever happens."""
 
+import errno
+import inspect
 import json
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
+import casadi as ca
 import click
 import pytest
+import servogen as sg
 from servogen.cli import main
+from servogen.compiler import build
+from servogen.tools import CompilerRefused, c_compiler, compile_c
 
 
 @pytest.fixture
@@ -20,6 +28,12 @@ def ends(monkeypatch, capsys):
         return (end.value.code, *capsys.readouterr())
 
     return call
+
+
+def crane(name):
+    q, u, tau = ca.SX.sym("q"), ca.SX.sym("u"), ca.SX.sym("tau")
+    mech = sg.Mechanism(q=q, u=u, tau=tau, Q=1.0, P=-ca.sign(u), G=1.0)
+    return sg.Scene(name, mech, [sg.Nonholonomic("speed", u, -1.0)])
 
 
 def breaks(error):
@@ -68,16 +82,104 @@ def test_where_nothing_may_be_written_the_option_is_named(ends, monkeypatch):
     [
         ("double_pendulm_energy", "did you mean double_pendulum_energy?"),
         (".", ". is a folder"),
+        ("carne.py", "no file carne.py; did you mean crane.py?"),
+        ("nowhere/crane.py", "no file nowhere/crane.py: there is no folder nowhere"),
+        ("crane.py", "crane.py defines several scenes: fast, slow; name one, as in crane.py:fast"),
+        ("crane.py:solw", "crane.py defines no scene 'solw'; did you mean slow? It has fast, slow"),
         ("cases.txt", "cases.txt is no .py file"),
         ("cases.txt:scene", "cases.txt is no .py file"),
     ],
 )
 def test_wrong_names_of_scenes(ends, monkeypatch, tmp_path, spec, words):
     (tmp_path / "cases.txt").write_text("1 2 3\n")
+    text = inspect.getsource(crane) + "fast, slow = crane('fast'), crane('slow')\n"
+    (tmp_path / "crane.py").write_text("import casadi as ca\nimport servogen as sg\n\n\n" + text)
     monkeypatch.chdir(tmp_path)
     code, _, err = ends("generate", spec)
     assert code == 2
     assert words in err
+
+
+def test_wrong_names_of_commands(ends):
+    for name, hint in (("genrate", "did you mean generate?"), ("xyz", "there are list, generate, solver")):
+        code, _, err = ends(name)
+        assert code == 2
+        assert f"no command {name!r}; {hint}" in err
+
+
+@pytest.mark.parametrize(
+    ("compiler", "told"),
+    [
+        ("nonsense", "no C compiler 'nonsense' on this machine"),
+        ("cc '", "is no command"),
+        ("cc --nonsense", "cc --nonsense -std=c99 -ffp-contract=off -O2 compiles not even an empty function"),
+        ("false", "it printed nothing, exit code 1"),
+    ],
+)
+def test_a_wrong_compiler_is_wrong_input(ends, monkeypatch, tmp_path, compiler, told):
+    monkeypatch.setenv("CC", compiler)
+    monkeypatch.setattr("servogen.cli.simulate.load_simulation", lambda spec: (crane("crane"), sg.Simulation()))
+    code, _, err = ends("simulate", "crane", "--no-plots", "--out", tmp_path)
+    assert code == 2
+    assert told in err
+
+
+def test_an_empty_CC_is_none(monkeypatch):
+    monkeypatch.setenv("CC", " ")
+    assert c_compiler() == ["cc"]
+    assert c_compiler("cc -m64 '-DA=B C'") == ["cc", "-m64", "-DA=B C"]
+
+
+def test_what_a_good_compiler_refuses_is_the_codes_fault(tmp_path):
+    file = tmp_path / "wrong.c"
+    file.write_text("int f(void) { return }\n")
+    with pytest.raises(CompilerRefused, match=r"cc refused wrong\.c:\n(.|\n)*error: expected"):
+        compile_c(["cc"], ["-O0"], ["-c", str(file), "-o", str(tmp_path / "wrong.o")], "wrong.c")
+
+
+def test_wrong_flags_of_a_bench_are_wrong_input(ends, tmp_path):
+    code, _, err = ends("bench", "spacecraft", "--flags=--nonsense", "--rounds", "1", "--out", tmp_path)
+    assert code == 2
+    assert "cc --nonsense compiles not even an empty function; check CC and the flags: cc: error:" in err
+
+
+def test_a_full_disk_is_told_with_the_path(ends, monkeypatch, tmp_path):
+    def full(self, *given, **more):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("servogen.cli.generate.load_scene", lambda spec: crane("crane"))
+    monkeypatch.setattr(Path, "write_text", full)
+    code, _, err = ends("generate", "crane", "--out", tmp_path)
+    assert code == 2
+    assert err.splitlines()[-1].startswith(f"error: {tmp_path}/crane.h: No space left on device; make room there")
+
+
+def test_a_compiler_without_room_is_no_wrong_compiler(ends, monkeypatch, tmp_path):
+    script = tmp_path / "full"
+    script.write_text("#!/bin/sh\necho 'x.c: fatal error: x.s: No space left on device' >&2\nexit 1\n")
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setattr("servogen.cli.simulate.load_simulation", lambda spec: (crane("crane"), sg.Simulation()))
+    code, _, err = ends("simulate", "crane", "--no-plots", "--out", tmp_path)
+    assert code == 2
+    assert f"error: {tempfile.gettempdir()}: No space left on device; make room there" in err
+
+
+@pytest.mark.filterwarnings("always:scene '")
+def test_remarks_are_printed_once(ends, monkeypatch, tmp_path):
+    """Whoever builds the scene, and however often."""
+
+    def twice(*given, **more):
+        build(*given, **more)
+        return build(*given, **more)
+
+    monkeypatch.setattr("servogen.cli.generate.load_scene", lambda spec: crane("crane"))
+    monkeypatch.setattr("servogen.cli.generate.build", twice)
+    for out in ("a", "b"):  # and by the next command again
+        code, _, err = ends("generate", "crane", "--out", tmp_path / out)
+        assert code == 0
+        assert len(err.splitlines()) == 1
+        assert err.startswith("warning: scene 'crane': P holds sign, which may jump")
 
 
 def test_the_table_names_every_command() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from servogen.verify.harness import HarnessBuildError, HarnessResult, read_log, run_harness
+from servogen.verify.harness import HarnessBuildError, HarnessResult, _complaint, read_log, run_harness
 from servogen.verify.vectors import VectorSet, take, ulp
 from support.mutate import mutated
 
@@ -299,3 +299,25 @@ def test_python_believes_nothing_that_the_lines_do_not_prove(
 
 def test_an_empty_log_is_a_failure(sample: Any) -> None:
     assert not read_log(sample.vectors(), "host", "gcc", 0, "").passed
+
+
+def test_what_a_tool_printed_is_told_in_few_lines() -> None:
+    """Of ninja's log the first step that failed, without its command; of CMake's what follows its error."""
+    command = ": && /usr/bin/cmake -E rm -f libp.a && /usr/bin/ar qc libp.a p.o && /usr/bin/ranlib libp.a && :"
+    log = [
+        "[1/9] Building C object p.o",
+        "FAILED: libp.a ",
+        command,
+        "ar: libp.a: broken",
+        "[2/9] Building C object q.o",
+    ]
+    assert _complaint(["/x/cmake", "--build"], "\n".join([*log, "ninja: build stopped."])) == (
+        "ar, ranlib could not make libp.a:\nar: libp.a: broken"
+    )
+    silent = _complaint(["/x/cmake", "--build"], f"FAILED: p.o \n/usr/bin/cc {'-Wall ' * 90}\nninja: build stopped.")
+    assert silent == "cc could not make p.o:\n(nothing was said)"
+    said = "-- found\nCMake Error at CMakeLists.txt:3 (project):\n  no such thing"
+    assert _complaint(["/x/cmake", "--preset"], said) == (
+        "failed: cmake\nCMake Error at CMakeLists.txt:3 (project):\n  no such thing"
+    )
+    assert len(_complaint(["cmake"], "\n".join("x" * 500)).splitlines()) <= 31

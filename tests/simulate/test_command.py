@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servogen.cli import main
+from servogen.cli import main, simulate
 from servogen.errors import SceneError
 from servogen.loading import builtin_names, load_simulation
 from servogen.simulate.export import write_csv
@@ -112,6 +112,13 @@ def test_tables_are_for_people(monkeypatch, tmp_path, capsys):
     for words in ("u [rad/s]", "tau [N m]", "largest |tau| 0 N m,", f"{told}by at most 0 1/s, at t = 0 s"):
         assert words in printed
     assert [f.name for f in folder.iterdir()] == ["falls.csv"]
+
+
+def test_entries_of_several_units_have_one_each():
+    row = simulate._row
+    assert row("q", [0, 1], [2, 3], "m") == ("q \\[m]", "0, 1", "2, 3")
+    assert row("q", [0, 1, 5], [2, 3, 4], "m, m, rad") == ("q", "0, 1 m, 5 rad", "2, 3 m, 4 rad")
+    assert row("y", 1.5, 2.5, None) == ("y", "1.5", "2.5")
 
 
 @pytest.mark.parametrize(("unit", "told"), [("N m", "1.23 N m"), ("N, N m", "1.23"), ("", "1.23"), (None, "1.23")])

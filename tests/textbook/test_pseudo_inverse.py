@@ -53,13 +53,14 @@ def test_policies_differ_on_units():
     assert scaled[0][1, 1] == pytest.approx(1e17)
 
 
-@pytest.mark.parametrize("sigma", [2.0, 0.1, 0.05, 1e-3, 0.0])
+@pytest.mark.parametrize("sigma", [2.0, 0.1 + 1e-9, 0.1 - 1e-9, 0.05, 1e-3, 0.0])
 def test_damping_filter(sigma):
     S = np.diag([1.0, sigma])
     matrix, info = pseudo_inverse.pinv(S, policy_for(2, 2, "float64", Solver(damping=0.1)))
     # numerics.md: Damping: what is lost of the task is (1 - (sigma / eps_d)^2)^2
     lost = (1 - min(sigma / 0.1, 1.0) ** 2) ** 2
     assert sigma * matrix[1, 1] == pytest.approx(1 - lost if sigma else 0.0)
+    # at 0.1 itself the last bit of LAPACK would decide
     assert (info.status == Status.REGULARISED) is (0 < sigma < 0.1)
 
 

@@ -66,6 +66,9 @@ def test_wrong_sizes_are_value_errors() -> None:
         for wrong in ({"q": [1.0]}, {"u": 1.0}, {"t": [1.0, 2.0]}, {"c1": [1.0, 2.0, 3.0]}, {"tau": [1.0]}, {"y": 1.0}):
             with pytest.raises(ValueError, match=f"{next(iter(wrong))} has . entries; it must have"):
                 twin.control(**wrong)
+        for bad in (None, "x", [None, "x"], ca.SX.sym("x", 2)):
+            with pytest.raises(ValueError, match=r"u = .*; give 2 numbers"):
+                twin.control(u=bad)
         with pytest.raises(ValueError, match="k has 1 entries; it must have 3"):
             twin.prepare(k=1.0)
         with pytest.raises(ValueError, match="last has 3 entries"):

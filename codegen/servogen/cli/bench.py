@@ -39,11 +39,15 @@ SUBJECTS = (HEADER.index("max ulp"), HEADER.index("NaN"))
 BUILDS = ("contender", "operations of both", "bytes of code", "compile s")
 
 NOTES = (
-    "ns      of a call: median, best and 99.9th percentile of batches; ratio to the baseline in the same rounds",
-    "ulp     of the output's largest magnitude, in the contender's own number type; abs in the output's unit",
-    "instr   executed by the function called and what it calls, without and with the maths library",
-    "NaN     answers that are not finite and say nothing, of the boundary states (rest, tiny, huge, quarter turns)",
-    "        with finite inputs; refused: by a negative status; remark: answered, with a positive status",
+    "ns      of a call: median, best and 99.9th percentile of batches;",
+    "        ratio to the baseline in the same rounds",
+    "ulp     of the output's largest magnitude, in the contender's own number type;",
+    "        abs in the output's unit",
+    "instr   executed by the function called and what it calls,",
+    "        without and with the maths library",
+    "NaN     answers that are not finite and say nothing, of the boundary states",
+    "        (rest, tiny, huge, quarter turns) with finite inputs;",
+    "        refused: by a negative status; remark: answered, with a positive one",
 )
 
 

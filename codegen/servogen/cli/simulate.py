@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from servogen.simulate.export import write_csv, write_runs_csv
 from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitudes
 from servogen.simulate.mujoco_plant import MujocoLoop
 from servogen.simulate.plots import METHOD_NAMES, write_plots
-from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes
+from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.verdict import Verdict
 from servogen.verify.harness import targets
@@ -314,8 +315,7 @@ def _show_verdict(verdict: Verdict) -> None:
 
 def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) -> None:
     units = summary["units"]
-    names = {n: escape(f"{n} [{units[n]}]") if n in units else n for n in summary["start"]}
-    rows = [(shown, _numbers(summary["start"][n]), _numbers(summary["end"][n])) for n, shown in names.items()]
+    rows = [_row(n, summary["start"][n], summary["end"][n], units.get(n)) for n in summary["start"]]
     table(title, ("quantity", "start", "end"), rows)
     way = "controller in every stage" if trajectory.hold is None else f"controller ticks every {trajectory.hold:g} s"
     out.print(
@@ -340,6 +340,19 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
         f"  largest |tau| {largest}, smallest sigma_min {summary['smallest_sigma_min']:.4g}, statuses {statuses}",
         markup=False,
     )
+
+
+def _row(name: str, start: Any, end: Any, unit: str | None) -> tuple[str, str, str]:
+    """A unit stands with the name where it is one, else behind the numbers that have it: "0.1, 0.2 m, 0.3 rad"."""
+    units = units_of_entries(unit, np.size(start))
+    if len(set(units)) == 1:
+        return escape(f"{name} [{unit}]") if unit else name, _numbers(start), _numbers(end)
+
+    def told(values: Any) -> str:
+        pairs = groupby(zip(units, np.atleast_1d(values), strict=True), key=lambda pair: pair[0])
+        return ", ".join(f"{_numbers([x for _, x in group])} {one}".rstrip() for one, group in pairs)
+
+    return name, told(start), told(end)
 
 
 def _numbers(values: Any) -> str:

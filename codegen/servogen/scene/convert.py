@@ -18,6 +18,10 @@ def to_sx(value: Any, what: str) -> Any:
         raise SceneError(f"{what} is None; give a number, an array or CasADi SX")
     if _holds_sx(value):
         raise SceneError(f"{what} is a {type(value).__name__} of SX; join it with ca.vertcat(...) and ca.horzcat(...)")
+    if isinstance(value, ca.Function):
+        raise SceneError(f"{what} is a CasADi Function; call it with the scene's symbols, and give what it returns")
+    if isinstance(value, str):
+        raise SceneError(f"{what}: cannot read str as a CasADi SX expression")
     try:
         sx = value if isinstance(value, ca.SX) else ca.SX(ca.DM(np.asarray(value, dtype=float)))
     except (TypeError, ValueError, NotImplementedError, RuntimeError):
@@ -79,6 +83,8 @@ def symbols(value: Any, what: str) -> Any:
     """A column of distinct SX symbols."""
     if isinstance(value, ca.MX):
         raise SceneError(f"{what} must be SX symbols, not MX; use SX: {MX_REMEDY}")
+    if _holds_sx(value):
+        raise SceneError(f"{what} is a {type(value).__name__} of SX; join it with ca.vertcat(...)")
     if not isinstance(value, ca.SX):
         raise SceneError(f"{what} must be SX symbols, as from ca.SX.sym({what!r}, n); got {type(value).__name__}")
     sx = column(value, what)

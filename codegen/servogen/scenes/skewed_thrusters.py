@@ -52,5 +52,5 @@ simulation = sg.Simulation(
     step=1e-2,
     domain={"q": (-5.0, 5.0)},  # its velocity is held, so it flies on
     outputs={"speed": ca.norm_2(v)},
-    units={"u": "m/s, rad/s", "tau": "N", "speed": "m/s"},
+    units={"u": ["m/s"] * 3 + ["rad/s"] * 3, "tau": "N", "speed": "m/s"},
 )

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
-from servogen.simulate.simulation import Simulation
+from servogen.simulate.simulation import Simulation, units_of_entries
 from servogen.simulate.trajectory import Trajectory
 
 _GREEK = dict(
@@ -137,7 +137,17 @@ def _mark_stop(trajectory: Trajectory, axis: Any) -> None:
 def _curves(
     trajectory: Trajectory, values: FloatArray, names: Sequence[str], what: str, unit: str | None
 ) -> list[Panel]:
-    """All curves in one panel; one panel each where they chatter and would cover one another."""
+    """All curves of one unit in one panel; one panel each where they chatter and would cover one another."""
+    units = units_of_entries(unit, len(names))
+    if len(set(units)) > 1:
+        panels: list[Panel] = []
+        for one_unit in dict.fromkeys(units):
+            mine = [k for k, of_entry in enumerate(units) if of_entry == one_unit]
+            of_unit = [names[k] for k in mine]
+            told = ", ".join(of_unit) if len(of_unit) <= 3 else what
+            panels += _curves(trajectory, values[:, mine], of_unit, told, one_unit)
+        return panels
+    unit = units[0]
     if not _chatters(values):
         return [partial(_together, trajectory.t, values, names, _axis(what, unit))]
     columns = np.split(values, values.shape[1], axis=1)

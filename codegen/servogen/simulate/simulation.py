@@ -1,6 +1,6 @@
 """Where a simulated run of a scene starts, how long it lasts, what is drawn and what stops it."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -43,7 +43,8 @@ class Simulation:
     tolerance: of psi (phi) off its prescribed decay: a share of its size over the domain, or {constraint: number} in
         psi's own unit. Default 1e-3 of its size; with a sampling controller 1e-2, and omega hold more, omega the
         fastest eigenvalue of Theta in 1/s: so much an error moves within a tick.
-    units: of q, u, tau, psi (or phi), the outputs by name and the drawing, for the axes.
+    units: of q, u, tau, psi (or phi), the outputs by name and the drawing, for the axes: one for all entries, "m", or
+        one for each, ["m", "rad"] or "m, rad".
     drawing: the mechanism as polylines, for the report: [[a, b, c], [target]], each a list of points, 2 or 3 entries of
         SX of q, u, tau, t, parameters and references (or a matrix with points as columns); a single point is a mark. In
         space z points upwards. None: a robot of sg.urdf draws itself, other mechanisms are not drawn.
@@ -67,7 +68,7 @@ class Simulation:
     decay: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
     stop: Mapping[str, Any] = field(default_factory=dict)
     references: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, Any] = field(default_factory=dict)
     sigma_min: float | None = None
     tau_max: float | None = None
     method: str = "rk4"
@@ -103,6 +104,7 @@ class Simulation:
         if self.drawing is not None:
             object.__setattr__(self, "drawing", polylines(self.drawing, "simulation: drawing"))
         self._check_machine()
+        object.__setattr__(self, "units", {n: _units_text(n, u) for n, u in self.units.items()})
         if self.method not in METHODS:
             raise SceneError(f"simulation: method {self.method!r}; choose {' or '.join(METHODS)}")
         for name in self.decay:
@@ -140,6 +142,20 @@ class Simulation:
         return replace(self, references={n: r for n, r in self.references.items() if n not in given})
 
 
+def _units_text(name: str, unit: object) -> str:
+    """One unit, or one for each entry with commas between."""
+    parts = [unit] if isinstance(unit, str) else list(unit) if isinstance(unit, Sequence) else [None]
+    if not all(isinstance(part, str) for part in parts):
+        raise SceneError(f"simulation: units[{name!r}] = {unit!r}; give text, or a list of it, one for each entry")
+    return ", ".join(map(str, parts))
+
+
+def units_of_entries(unit: str | None, count: int) -> list[str | None]:
+    """The unit of each of `count` entries, where they are told one by one; else the same text for all."""
+    parts: list[str | None] = [part.strip() for part in (unit or "").split(",")]
+    return parts if len(parts) == count else [unit] * count
+
+
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
     """SceneError where the simulation names what the scene does not have."""
     known = {s.__hash__() for _, symbol in known_symbols(scene) for s in symbol.nonzeros()}
@@ -167,6 +183,13 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
         if name not in names:
             raise SceneError(
                 f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
+            )
+    for name, symbol in known_symbols(scene):
+        told = simulation.units.get(name, "").count(",") + 1
+        if told not in (1, symbol.numel()):
+            raise SceneError(
+                f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {symbol.numel()} "
+                "entries; give one for all, or one for each"
             )
 
 

@@ -123,9 +123,8 @@ class Twin(ABC):
             values[name] = _sized(value, sizes[name], name)
         missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
         if missing:
-            raise TypeError(
-                f"{function}: {' and '.join(missing)} of scene {scene.name!r} is left out; give every state by keyword"
-            )
+            told, verb = " and ".join(missing), "are" if missing[1:] else "is"
+            raise TypeError(f"{function}: {told} of scene {scene.name!r} {verb} left out; give every state by keyword")
         return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
 
     def _needed(self, function: str) -> tuple[str, ...]:
@@ -173,7 +172,12 @@ def finite(values: Any) -> bool:
 
 
 def _sized(value: Any, size: int, name: str) -> FloatArray:
-    array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    try:
+        if value is None:
+            raise TypeError
+        array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{name} = {value!r}; give {'a number' if size == 1 else f'{size} numbers'}") from None
     if array.size != size:
         raise ValueError(f"{name} has {array.size} entries; it must have {size}")
     return array
