@@ -14,7 +14,7 @@ from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import METHODS, ClosedLoop, simulate
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import Simulation
-from servogen.simulate.sources import write_loop
+from servogen.simulate.sources import host_sources, write_loop
 from servogen.tools import firmware_sim
 
 STRICT = (
@@ -260,7 +260,7 @@ def test_the_loop_is_clean_c99(tmp_path: Path, need_tool, own_scenes, name, comp
     sources = write_loop(scene, simulation, tmp_path, scalar)
     include = [f"-I{folder}" for folder in (sources.controller.path, *sources.include_folders)]
     bits = f"-DSERVOGEN_SCALAR_BITS={scalar.removeprefix('float')}"
-    subprocess.run([compile_with, *STRICT, bits, *include, "-c", *sources.sources], check=True, cwd=tmp_path)
+    subprocess.run([compile_with, *STRICT, bits, *include, "-c", *host_sources(sources)], check=True, cwd=tmp_path)
 
 
 def test_the_generated_loop_has_the_same_bytes_every_time(tmp_path: Path):

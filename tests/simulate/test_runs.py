@@ -13,6 +13,7 @@ import servogen as sg
 from servogen.cli import main
 from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.robustness import write_robustness
 from servogen.simulate.runs import QUANTILES
 
 COUNT = 24
@@ -89,7 +90,7 @@ def test_a_draw_follows_from_its_seed_alone(rail):
     assert rail.run().plant["m"] == 2.0  # a single run draws nothing
 
 
-def test_what_hurts_most_and_the_worst_come_first(rail):
+def test_what_hurts_most_and_the_worst_come_first(rail, tmp_path):
     many = rail.runs(200, spread={"m": 0.4, "u": 1e-3}, step=5e-3)
     assert next(iter(many.correlation)) == "m"
     assert abs(many.correlation["m"]) > 0.9
@@ -97,6 +98,9 @@ def test_what_hurts_most_and_the_worst_come_first(rail):
     worst = many.worst(3)
     assert many.share[worst[0]] == max(many.share)
     assert list(many.share[worst]) == sorted(many.share[worst], reverse=True)
+    drawn = [write_robustness(many, tmp_path)[0].read_bytes() for _ in range(2)]
+    assert drawn[0] == drawn[1]
+    assert len(drawn[0]) > 10_000
 
 
 def test_starts_that_are_refused_are_counted(rail):

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
+
 from servogen.cli.console import out, table
 from servogen.simulate.runs import QUANTILES, Runs
 
@@ -37,7 +39,11 @@ def runs_summary(runs: Runs) -> dict[str, Any]:
 def show_runs(runs: Runs, machine: str, files: Sequence[Path]) -> None:
     """The same for a person."""
     header = ("quantity", *("largest" if q == 1 else f"{100 * q:g} %" for q in QUANTILES))
-    rows = [(name, *(f"{x:.4g}" for x in values)) for name, values in runs.quantiles().items()]
+    units = (*runs.claim.row_units, *runs.claim.row_units, *runs.claim.tau_units)
+    rows = [
+        (escape(f"{name} [{unit}]") if unit else name, *(f"{x:.4g}" for x in values))
+        for unit, (name, values) in zip(units, runs.quantiles().items(), strict=True)
+    ]
     count = len(runs.words)
     table(f"{runs.scene}: {count:,} runs in {runs.seconds:.3g} s", header, rows, right=range(1, len(header)))
     if machine:
@@ -46,7 +52,7 @@ def show_runs(runs: Runs, machine: str, files: Sequence[Path]) -> None:
     out.print(f"  statuses {statuses or 'none'}", markup=False)
     for word, number in runs.verdicts.items():
         style = "bold green" if word == "held" else "bold red"
-        out.print(f"  [{style}]{word}[/]: {number:,} runs, {100 * number / count:.3g} %")
+        out.print(f"  [{style}]{escape(word)}[/]: {number:,} runs, {100 * number / count:.3g} %")
     hurts = ", ".join(f"{n} ({rho:+.2f})" for n, rho in runs.correlation.items())
     if hurts:
         out.print(f"  what hurts most, by rank correlation with the error: {hurts}", markup=False)

@@ -23,6 +23,7 @@ from servogen.simulate.export import write_csv, write_runs_csv
 from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitudes
 from servogen.simulate.mujoco_plant import MujocoLoop
 from servogen.simulate.plots import METHOD_NAMES, write_plots
+from servogen.simulate.robustness import write_robustness
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.verdict import Verdict
@@ -159,6 +160,7 @@ def simulate_command(
             many = loop.runs(runs, **given, progress=lambda done, n: advance(done, n, f"{loaded.name}: runs"))
             folder.mkdir(parents=True, exist_ok=True)
             files = [write_runs_csv(many, folder / f"{loaded.name}_runs.csv")]
+            files += [] if no_plots else write_robustness(many, folder)
         else:
             given["replay"] = replay
             trajectory = loop.run(**given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps"))

@@ -36,7 +36,7 @@ from servogen.simulate.simulation import (
     run_takes,
     start_values,
 )
-from servogen.simulate.sources import LoopSources, write_loop
+from servogen.simulate.sources import LoopSources, host_sources, write_loop
 from servogen.simulate.spread import Draws, draw
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import build_library
@@ -493,6 +493,6 @@ def _compile(sources: LoopSources, scalar: Scalar, compiler: str | None, folder:
     """One shared library of all the C, a file in `folder`."""
     options = [f"-I{folder}" for folder in sources.include_folders]
     bits = "64" if scalar == "float64" else "32"
-    files = [str(file) for file in sources.sources]
+    files = [str(file) for file in host_sources(sources)]
     flags = ("-O2", f"-DSERVOGEN_SCALAR_BITS={bits}", *options, *files)
     return build_library(sources.controller, folder, compiler, flags)

@@ -48,6 +48,11 @@ class Actuators:
             if given is not None:
                 object.__setattr__(self, name, _magnitudes(given, f"actuators: {name}", name != "lag"))
 
+    @property
+    def move(self) -> bool:
+        """Whether their torque changes between two ticks: there is a rate or a lag."""
+        return any(math.isfinite(x) for x in self.rate or ()) or any(x > 0 for x in self.lag or ())
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -175,7 +180,7 @@ def grid_of(simulation: "Simulation", duration: float, step: float, hold: float 
         raise SceneError(
             f"hold = {hold:g} s and step = {step:g} s: one must be a multiple of the other; try hold = {near:g}"
         )
-    moving = simulation.actuators is not None and (simulation.actuators.rate or simulation.actuators.lag)
+    moving = simulation.actuators is not None and simulation.actuators.move
     substeps, delay = _delayed(simulation.delay, hold, rows, ACTUATOR_SUBSTEPS if moving else HOLD_SUBSTEPS)
     return Grid(hold / rows, steps * ticks, substeps, ticks, rows, delay, hold)
 

@@ -27,9 +27,9 @@ _GREEK = dict(
 )
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")  # told apart by all eyes
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")  # told apart by all eyes
 _IDEAL = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.2}
-_STYLE = {
+STYLE = {
     "font.size": 11,
     "axes.labelsize": 11,
     "axes.titlesize": 12,
@@ -46,7 +46,7 @@ _STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
-_NARROW = _STYLE | {
+_NARROW = STYLE | {
     "font.size": 9,
     "axes.labelsize": 9,
     "axes.titlesize": 9,
@@ -64,7 +64,7 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
     """states, controls, psi or phi, outputs and margins (where there are any), as PNG and SVG in the folder `out`."""
     files: list[Path] = []
     for name, panels in _panels(scene, simulation, trajectory).items():
-        with matplotlib.rc_context(_STYLE):
+        with matplotlib.rc_context(STYLE):
             figure = _figure(trajectory, panels, (7.2, 1.1 + (2.5 if len(panels) < 3 else 1.9) * len(panels)))
             figure.suptitle(_title(trajectory), fontsize=11, x=0.02, ha="left")
             png, svg = (out / f"{name}.{ending}" for ending in ("png", "svg"))
@@ -158,7 +158,7 @@ def _curves(
 def _together(t: FloatArray, values: FloatArray, names: Sequence[str], label: str, axis: Any) -> None:
     width = 1.5 if len(names) > 1 else 0.9
     for k, name in enumerate(names):
-        axis.plot(t, values[:, k], color=_COLOURS[k % len(_COLOURS)], label=name, linewidth=width)
+        axis.plot(t, values[:, k], color=COLOURS[k % len(COLOURS)], label=name, linewidth=width)
     axis.set_ylabel(label)
     _legend(axis, len(names))
 
@@ -177,7 +177,7 @@ def _constraint_panels(scene: Scene, trajectory: Trajectory, unit: str | None) -
 
     def row(k: int, name: str) -> Panel:
         def panel(axis: Any) -> None:
-            axis.plot(trajectory.t, trajectory.constraint[:, k], color=_COLOURS[0], label=f"{symbol}, {name}")
+            axis.plot(trajectory.t, trajectory.constraint[:, k], color=COLOURS[0], label=f"{symbol}, {name}")
             axis.plot(trajectory.t, trajectory.ideal[:, k], label="prescribed by Θ", **_IDEAL)
             axis.set_ylabel(_axis(f"constraint {symbol}", unit))
             _legend(axis, 2)
@@ -200,7 +200,7 @@ def _output_panels(trajectory: Trajectory, units: Mapping[str, str]) -> list[Pan
 
 def _output(trajectory: Trajectory, name: str, values: FloatArray, ideal: FloatArray | None, unit: str | None) -> Panel:
     def panel(axis: Any) -> None:
-        axis.plot(trajectory.t, values, color=_COLOURS[0], label=name)
+        axis.plot(trajectory.t, values, color=COLOURS[0], label=name)
         if ideal is not None:
             axis.plot(trajectory.t, ideal, label="ideal decay", **_IDEAL)
             _legend(axis, 2)
@@ -217,7 +217,7 @@ def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: Flo
     positive = error > 0
 
     def panel(axis: Any) -> None:
-        axis.plot(trajectory.t[positive], error[positive], color=_COLOURS[1], linewidth=1.0)
+        axis.plot(trajectory.t[positive], error[positive], color=COLOURS[1], linewidth=1.0)
         axis.set_yscale("log")
         axis.set_ylabel(f"|{name} − ideal| / ideal")
 
@@ -233,7 +233,7 @@ def _margin_panels(simulation: Simulation, trajectory: Trajectory, unit: str | N
 
     def margin(label: str, values: FloatArray, limit: float) -> Panel:
         def panel(axis: Any) -> None:
-            axis.plot(trajectory.t, values, color=_COLOURS[0], label=label.partition(" [")[0])
+            axis.plot(trajectory.t, values, color=COLOURS[0], label=label.partition(" [")[0])
             axis.axhline(limit, label=f"limit {limit:g}", **_IDEAL)
             axis.set_yscale("log")
             axis.set_ylabel(label)

@@ -40,10 +40,15 @@ class LoopSources:
 
     @property
     def sources(self) -> tuple[Path, ...]:
-        """C files beside the controller's."""
+        """C files beside the controller's, as they run on a board."""
         packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch, self.guide) if p is not None]
-        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "machine.c", "record.c", "summary.c")]
+        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "machine.c", "record.c")]
         return (self.folder / f"{self.controller.prefix}_loop.c", *packages, *hand_written)
+
+
+def host_sources(sources: LoopSources) -> tuple[Path, ...]:
+    """C files beside the controller's as they run on this machine: many runs are summed up here alone."""
+    return (*sources.sources, firmware_sim() / "simulate" / "summary.c")
 
 
 def write_loop(scene: Scene, simulation: Simulation, out: Path, scalar: Scalar) -> LoopSources:
