@@ -61,7 +61,9 @@ static void combine(const real *x, real h, const real *weight, int count, const 
     for (i = 0; i < n; ++i) {
         real sum = R(0);
         for (s = 0; s < count; ++s) {
-            sum += weight[s] * slopes[s * n + i];
+            if (weight[s] != R(0)) {
+                sum += weight[s] * slopes[s * n + i];
+            }
         }
         to[i] = x[i] + h * sum;
     }

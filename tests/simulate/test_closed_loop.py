@@ -308,7 +308,7 @@ int main(int argc, char **argv)
     const double limit[] = {0.2, 0.2, -1}, none[] = {-1, -1, -1}, noise[] = {0, 0, 0, 1e-3, 1e-3, 1e-3}, step[6] = {0};
     spacecraft_smooth_setup setup = {
         parameters, parameters, q, u, tau, NULL, limit, none, none, none, noise, step,
-        0.01, 0.01, 4, 100, 1, 1, 127, 7, SIM_RK4, 0, 1
+        0.01, 0.01, 4, 100, 1, 1, 127, 7, SIM_RK4, 0, 0, 1
     };
     static spacecraft_smooth_run run;
     sim_stop stop;

@@ -33,6 +33,7 @@ COMMANDS = {
     "solver": ("generate", "solver"),
     "check": ("check", "check_command"),
     "simulate": ("simulate", "simulate_command"),
+    "verdicts": ("verdicts", "verdicts_command"),
     "bench": ("bench", "bench_command"),
     "stress": ("stress", "stress_command"),
     "certify": ("certify", "certify_command"),

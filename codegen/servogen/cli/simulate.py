@@ -11,12 +11,13 @@ from rich.markup import escape
 
 from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
 from servogen.cli.generate import scalar_option
+from servogen.cli.runs import runs_summary, show_runs
 from servogen.errors import SceneError
 from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.export import write_csv
+from servogen.simulate.export import write_csv, write_runs_csv
 from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitudes
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes
@@ -57,7 +58,17 @@ from servogen.verify.harness import targets
 )
 @click.option("--quantise", multiple=True, metavar="NAME=NUMBERS", help="Steps that readings come in, q=1e-3.")
 @click.option("--delay", type=float, metavar="SECONDS", help="From reading to acting.")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Of the noise.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Of the noise; of many runs, the first one's.")
+@click.option("--runs", type=click.IntRange(1), metavar="N", help="So many runs of what the spread and the seeds draw.")
+@click.option(
+    "--spread",
+    multiple=True,
+    metavar="NAME=NUMBERS",
+    help="What runs draw, either way: a share of a parameter (m=0.1); of q and u at the start, in their unit (q=0.05).",
+)
+@click.option(
+    "--replay", type=click.IntRange(0, 2**32 - 1), metavar="SEED", help="One of the runs again, with its rows."
+)
 @click.option("--no-project", is_flag=True, help="Start from tau as given, even if phi is not zero there.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder; default ./simulation/<scene's name>/."
@@ -83,6 +94,9 @@ def simulate_command(
     quantise: Sequence[str],
     delay: float | None,
     seed: int | None,
+    runs: int | None,
+    spread: Sequence[str],
+    replay: int | None,
     no_project: bool,
     out: Path | None,
     no_plots: bool,
@@ -113,6 +127,9 @@ def simulate_command(
     }
     simulation = simulation.holding(changed["references"])
     on = replace(simulation, **{n: v for n, v in machine.items() if v is not None})
+    drawn = dict(simulation.spread) | _assignments(spread, "--spread", takes["parameters"] | readings)
+    if runs is not None and (target != "host" or replay is not None):
+        raise SceneError("--runs go on this machine, all of them; --replay SEED, without --runs, does one anywhere")
     folder = out or Path("simulation") / loaded.name
     with progress(as_json) as advance:
         advance(0, 1, f"{loaded.name}: compiling")
@@ -122,11 +139,24 @@ def simulate_command(
             "hold": hold,
             "method": method,
             "project": not no_project,
+            "spread": drawn,
             **machine,
         }
-        trajectory = ClosedLoop(loaded, simulation, scalar).run(
-            **given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps")
-        )
+        loop = ClosedLoop(loaded, simulation, scalar)
+        if runs is not None:
+            many = loop.runs(runs, **given, progress=lambda done, n: advance(done, n, f"{loaded.name}: runs"))
+            folder.mkdir(parents=True, exist_ok=True)
+            files = [write_runs_csv(many, folder / f"{loaded.name}_runs.csv")]
+        else:
+            given["replay"] = replay
+            trajectory = loop.run(**given, progress=lambda done, total: advance(done, total, f"{loaded.name}: steps"))
+    if runs is not None:
+        if as_json:
+            emit_json(runs_summary(many) | {"machine": machine_in_words(on), "files": files})
+        else:
+            show_runs(many, machine_in_words(on), files)
+        click.get_current_context().exit(GOOD if many.held else FAILED)
+    with progress(as_json) as advance:
         differing = 0
         if target != "host":
             advance(0, 1, f"{loaded.name}: the same on {target}")
@@ -162,7 +192,7 @@ def _assignments(given: Sequence[str], option: str, sizes: Mapping[str, int]) ->
                 example = ",".join(["0.1"] * sizes[name])
                 raise SceneError(f"{option} {text!r}; write NAME=NUMBERS, as in {name}={example}") from None
             parsed = []
-        one_for_all = option in ("--noise", "--quantise") and len(parsed) == 1
+        one_for_all = option in ("--noise", "--quantise", "--spread") and len(parsed) == 1
         values |= checked({name: parsed * sizes.get(name, 1) if one_for_all else parsed}, sizes, option)
     return values
 

@@ -2,24 +2,30 @@
 
 import ctypes as ct
 import math
+import os
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag, expm
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.simulate.batch import OUTCOME, Job, Part, do, setup_struct, stop_struct
 from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
-from servogen.simulate.ideal import ideal_decay
+from servogen.simulate.ideal import ideal_decay, prescribed, value_at
 from servogen.simulate.machine import Grid, grid_of, machine_arrays
+from servogen.simulate.runs import Runs, runs_of
 from servogen.simulate.simulation import (
     METHODS,
     Simulation,
@@ -31,8 +37,9 @@ from servogen.simulate.simulation import (
     start_values,
 )
 from servogen.simulate.sources import LoopSources, write_loop
+from servogen.simulate.spread import Draws, draw
 from servogen.simulate.trajectory import Reason, Stop, Trajectory
-from servogen.twins.compiled import compile_library
+from servogen.twins.compiled import build_library
 
 MOST_STEPS = 5_000_000
 _CHUNK = 4096
@@ -99,7 +106,8 @@ class ClosedLoop:
         self._folder = tempfile.TemporaryDirectory(prefix="servogen-loop-")
         self._sources = write_loop(scene, self.simulation, Path(self._folder.name), scalar)
         if target == "host":
-            self._library = _compile(self._sources, scalar, compiler)
+            self._file = _compile(self._sources, scalar, compiler, Path(self._folder.name))
+            self._library = ct.CDLL(str(self._file))
         self._prefix = self._sources.controller.prefix
         self._given = self._sources.given
 
@@ -116,6 +124,8 @@ class ClosedLoop:
         method: str | None = None,
         progress: Progress | None = None,
         plant: Mapping[str, Any] | None = None,
+        spread: Mapping[str, Any] | None = None,
+        replay: int | None = None,
         **machine: Any,
     ) -> Trajectory:
         """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
@@ -127,8 +137,143 @@ class ClosedLoop:
         hold: seconds between two ticks of the controller (`control`, or `step(dt)`), tau held in between, as in
         firmware; True: one tick a step; None: as the simulation says. project: controls-involved scenes first take the
         nearest tau with phi = 0. progress: called with (steps done, steps) from time to time.
+        replay: a seed of `runs`, whose draw from the spread (default the simulation's) this run takes.
         machine: actuators, noise, quantise, delay and seed, each before what the simulation says.
         """
+        if replay is not None:
+            machine["seed"] = replay
+        given = (start, duration, step, references, parameters, hold, project, method, plant, machine)
+        plan = self._plan(*given)
+        if replay is not None:
+            plan = plan.drawn(draw(self.scene, self._spread(spread), [replay], plan.plant, plan.inputs), 0)
+        began = time.perf_counter()
+        rows, marks, stop = self._integrate(self._setup(plan), plan.grid.steps // plan.grid.row_every, progress)
+        seconds = time.perf_counter() - began
+        return replace(self._trajectory(rows, marks, stop, plan), seconds=seconds)
+
+    def runs(
+        self,
+        count: int,
+        *,
+        spread: Mapping[str, Any] | None = None,
+        seed: int | None = None,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        start: Mapping[str, Any] | None = None,
+        duration: float | None = None,
+        step: float | None = None,
+        references: Mapping[str, Any] | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        hold: float | bool | None = None,
+        project: bool = True,
+        method: str | None = None,
+        plant: Mapping[str, Any] | None = None,
+        **machine: Any,
+    ) -> Runs:
+        """`count` runs with seeds seed, seed + 1, ..., each of another draw and other noise, without their rows.
+
+        spread: half-widths of uniform draws about the nominal values: {"m": 0.1} is 10 % of the plant's parameter
+        either way, {"q": 0.05} as much of the start's q in its own unit, entry by entry; default the simulation's.
+        executor: any of concurrent.futures (a Dask client's, say) whose workers are machines like this one; default
+        threads on all cores. progress: called with (runs done, runs). The rest is as for `run`.
+        """
+        if self.target != "host":
+            raise SceneError(f"runs go on this machine, not on {self.target}; replay one of them there")
+        if not isinstance(count, int) or count < 1:
+            raise SceneError(f"runs = {count!r}; give a whole number, at least 1")
+        plan = self._plan(start, duration, step, references, parameters, hold, project, method, plant, machine)
+        first = self.simulation.seed if seed is None else seed
+        if not 0 <= first <= 2**32 - count:
+            raise SceneError(f"seed {first!r} for {count} runs; give a whole number from 0 to {2**32 - count}")
+        drawn = draw(self.scene, self._spread(spread), np.arange(first, first + count), plan.plant, plan.inputs)
+        job, states = self._job(plan), self._prescribed_starts(plan, drawn)
+        workers = os.cpu_count() or 1
+        size = max(1, min(250, count // (4 * workers)))
+        parts = [slice(k, min(k + size, count)) for k in range(0, count, size)]
+        found = np.empty(count, OUTCOME)
+        began = time.perf_counter()
+        with nullcontext(executor) if executor is not None else ThreadPoolExecutor(workers) as pool:
+            tasks = {}
+            for own in parts:
+                arrays = {n: a[own] for n, a in drawn.arrays.items()}
+                tasks[pool.submit(do, job, Part(arrays, drawn.seeds[own], states[own]))] = own
+            done = 0
+            for task in as_completed(tasks):
+                found[tasks[task]] = task.result()
+                done += tasks[task].stop - tasks[task].start
+                if progress is not None:
+                    progress(done, count)
+        seconds = time.perf_counter() - began
+        claim = claim_of(self.scene, self.simulation, plan.parameters, plan.grid.hold)
+        return runs_of(self.scene.name, found, _REASONS, self.simulation.events, claim, self._sizes(), drawn, seconds)
+
+    def _spread(self, given: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        return self.simulation.spread if given is None else given
+
+    def _job(self, plan: "_Plan") -> Job:
+        """What all runs share, the shared library included."""
+        setup = self._setup(plan)
+        claim = claim_of(self.scene, self.simulation, plan.parameters, plan.grid.hold)
+        values = dict(plan.inputs) | plan.parameters
+        step = plan.grid.step * plan.grid.row_every
+        place: list[int] = []
+        blocks, row = [], 0
+        for part in prescribed(self.scene):
+            blocks.append(expm(value_at(self.scene, part.matrix, values) * step))
+            place += range(row, row + part.psi.size1())
+            row += len(blocks[-1])
+        return Job(
+            library=self._file.read_bytes(),
+            prefix=self._prefix,
+            scalar=self.scalar,
+            arrays=setup.arrays,
+            reals=setup.reals,
+            numbers=setup.numbers | {"frugal": int(self.simulation.sigma_min is None)},
+            sizes=self._sizes(),
+            claim={
+                "low": claim.low,
+                "high": claim.high,
+                "angle": claim.angle.astype(np.int32),
+                "tolerance": claim.tolerance,
+                "forward": block_diag(*blocks),
+                "place": np.array(place, np.int32),
+            },
+            rows=plan.grid.steps // plan.grid.row_every + 1,
+        )
+
+    def _prescribed_starts(self, plan: "_Plan", drawn: Draws) -> FloatArray:
+        """Of each run the state of the prescribed decay at its start: psi', and zeros where psi itself will stand."""
+        count = len(drawn.seeds)
+        given = {f.name: plan.inputs[f.name] for f in self._given}
+        columns = {n: np.tile(v, (count, 1)) for n, v in {**given, "tau": plan.inputs["tau"]}.items()}
+        columns |= {n: drawn.arrays[n].astype(self.scalar) for n in ("q", "u")} | {"t": np.zeros((count, 1))}
+        columns |= {n: np.tile(v, (count, 1)) for n, v in self._moving(np.zeros(1)).items()}
+        edges = np.cumsum([len(v) for v in plan.plant.values()])[:-1]
+        columns |= dict(zip(plan.plant, np.split(drawn.arrays["plant"], edges, axis=1), strict=True))
+        symbols = known_symbols(self.scene)
+        arguments = [ca.DM(columns[n].astype(float).T) for n, _ in symbols]
+        parts = []
+        for part in prescribed(self.scene):
+            parts.append(np.zeros((count, part.psi.size1())))
+            if part.psi_dot is not None:
+                function = ca.Function("rates", [s for _, s in symbols], [ca.densify(part.psi_dot)])
+                parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
+        return np.hstack(parts)
+
+    def _plan(
+        self,
+        start: Mapping[str, Any] | None,
+        duration: float | None,
+        step: float | None,
+        references: Mapping[str, Any] | None,
+        parameters: Mapping[str, Any] | None,
+        hold: float | bool | None,
+        project: bool,
+        method: str | None,
+        plant: Mapping[str, Any] | None,
+        machine: Mapping[str, Any],
+    ) -> "_Plan":
+        """Everything a run is made of, checked."""
         simulation = self._on(machine)
         grid = self._grid(simulation, duration, step, hold)
         inputs = start_values(self.scene, self.simulation, start, references)
@@ -140,12 +285,7 @@ class ClosedLoop:
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
         values, own = self._parameters(parameters or {}, plant or {})
-        setup = self._setup(simulation, grid, inputs, values, own, METHODS.index(method), project)
-        began = time.perf_counter()
-        rows, marks, stop = self._integrate(setup, grid.steps // grid.row_every, progress)
-        seconds = time.perf_counter() - began
-        found = self._trajectory(rows, marks, stop, inputs, values, own, grid, method)
-        return replace(found, seconds=seconds)
+        return _Plan(simulation, grid, inputs, values, own, method, project)
 
     def _on(self, machine: Mapping[str, Any]) -> Simulation:
         """The simulation with another machine."""
@@ -183,22 +323,14 @@ class ClosedLoop:
         own = self.simulation.plant if isinstance(self.simulation.plant, Mapping) else {}
         return values, values | checked(own, sizes, "plant") | checked(plant, sizes, "plant")
 
-    def _setup(
-        self,
-        simulation: Simulation,
-        grid: Grid,
-        inputs: dict[str, FloatArray],
-        parameters: dict[str, FloatArray],
-        plant: dict[str, FloatArray],
-        method: int,
-        project: bool,
-    ) -> Setup:
+    def _setup(self, plan: "_Plan") -> Setup:
+        grid, inputs = plan.grid, plan.inputs
         arrays = {
-            "parameters": np.concatenate([np.zeros(0), *parameters.values()]),
-            "plant": np.concatenate([np.zeros(0), *plant.values()]),
+            "parameters": np.concatenate([np.zeros(0), *plan.parameters.values()]),
+            "plant": np.concatenate([np.zeros(0), *plan.plant.values()]),
             **{name: inputs[name] for name in ("q", "u", "tau")},
             "given": np.concatenate([np.zeros(0), *(inputs[f.name] for f in self._given)]),
-            **machine_arrays(self.scene, simulation, grid.step / grid.substeps),
+            **machine_arrays(self.scene, plan.simulation, grid.step / grid.substeps),
         }
         dtype = np.dtype(self.scalar)
         return Setup(
@@ -210,10 +342,11 @@ class ClosedLoop:
                 "row_every": grid.row_every,
                 "tick_every": grid.tick_every,
                 "delay": grid.delay,
-                "seed": int(simulation.seed),
-                "method": method,
+                "seed": int(plan.simulation.seed),
+                "method": METHODS.index(plan.method),
                 "hold": int(grid.hold is not None),
-                "project": int(project),
+                "frugal": 0,
+                "project": int(plan.project),
             },
         )
 
@@ -227,12 +360,10 @@ class ClosedLoop:
         rows = np.zeros((steps + 1, sum(sizes) + 2), np.dtype(self.scalar))
         marks = np.zeros((steps + 1, 3), np.int32)
         record = _Record(*sizes, steps + 1, 0, rows.ctypes.data, marks.ctypes.data)
-        reals = _structs(self.scalar)
-        given = reals.Setup(
-            *(a.ctypes.data for a in setup.arrays.values()), *setup.reals.values(), *setup.numbers.values()
-        )
+        pointers = (a.ctypes.data for a in setup.arrays.values())
+        given = setup_struct(self.scalar)(*pointers, *setup.reals.values(), *setup.numbers.values())
         run = (ct.c_double * (self._call("run_bytes", restype=ct.c_size_t) // 8 + 1))()  # aligned as a double is
-        stop = reals.Stop()
+        stop = stop_struct(self.scalar)()
         sink, user = self._library.sim_keep, ct.byref(record)
         reason = self._call("begin", run, ct.byref(given), sink, user)
         while True:
@@ -258,22 +389,13 @@ class ClosedLoop:
             return Stop(reason, float(t), self.simulation.events[detail])
         return Stop(reason, float(t), "", Status(detail))
 
-    def _trajectory(
-        self,
-        rows: FloatArray,
-        marks: Any,
-        stop: Stop,
-        inputs: dict[str, FloatArray],
-        parameters: dict[str, FloatArray],
-        plant: dict[str, FloatArray],
-        grid: Grid,
-        method: str,
-    ) -> Trajectory:
+    def _trajectory(self, rows: FloatArray, marks: Any, stop: Stop, plan: "_Plan") -> Trajectory:
+        grid, parameters = plan.grid, plan.parameters
         edges = np.cumsum([1, *self._sizes()])
         t, q, u, tau, constraint, sigma_min = np.split(rows, edges, axis=1)
-        given = {f.name: inputs[f.name] for f in self._given}
+        given = {f.name: plan.inputs[f.name] for f in self._given}
         columns = {"t": t, "q": q, "u": u, "tau": tau} | {
-            n: np.tile(v, (len(t), 1)) for n, v in {**plant, **given}.items()
+            n: np.tile(v, (len(t), 1)) for n, v in {**plan.plant, **given}.items()
         }
         columns |= self._moving(t[:, 0].astype(float))
         outputs = self._evaluate(self.simulation.outputs, columns)
@@ -284,13 +406,13 @@ class ClosedLoop:
             kind=self.scene.kind,
             step=step,
             hold=grid.hold,
-            method=method,
+            method=plan.method,
             t=t[:, 0],
             q=q,
             u=u,
             tau=tau,
             constraint=constraint,
-            ideal=ideal_decay(self.scene, first, step, len(t), parameters) if first else constraint,
+            ideal=ideal_decay(self.scene, first, step, len(t), parameters, constraint[0]) if first else constraint,
             status=marks[:, 0],
             rank=marks[:, 1],
             limited=marks[:, 2],
@@ -300,7 +422,7 @@ class ClosedLoop:
             outputs=outputs,
             decay=self._decay(outputs, columns),
             parameters=parameters,
-            plant=plant,
+            plant=plan.plant,
             inputs=given,
         )
 
@@ -331,6 +453,25 @@ class ClosedLoop:
         return {n: limits[n] + (outputs[n][:1] - limits[n]) * np.exp(rates[n] * t) for n in decay}
 
 
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """A run: on which machine and grid, from which inputs, with which parameters of controller and plant."""
+
+    simulation: Simulation
+    grid: Grid
+    inputs: dict[str, FloatArray]
+    parameters: dict[str, FloatArray]
+    plant: dict[str, FloatArray]
+    method: str
+    project: bool
+
+    def drawn(self, draws: Draws, k: int) -> "_Plan":
+        """The same with the plant and the start of the k-th draw."""
+        edges = np.cumsum([len(v) for v in self.plant.values()])[:-1]
+        plant = dict(zip(self.plant, np.split(draws.arrays["plant"][k], edges), strict=True)) if self.plant else {}
+        return replace(self, plant=plant, inputs=self.inputs | {n: draws.arrays[n][k] for n in ("q", "u")})
+
+
 class _Record(ct.Structure):
     """sim_record of firmware_sim/simulate/record.h."""
 
@@ -342,25 +483,10 @@ class _Record(ct.Structure):
     ]
 
 
-def _structs(scalar: Scalar) -> Any:
-    """The C structs that hold reals: <prefix>_setup and sim_stop."""
-    real = ct.c_double if scalar == "float64" else ct.c_float
-    names = ("parameters", "plant", "q", "u", "tau", "given", "limit", "slew", "keep", "mean", "noise", "quantum")
-    arrays = [(n, ct.c_void_p) for n in names]
-    times = [(n, real) for n in ("step", "tick")]
-    counts = [(n, ct.c_uint32) for n in ("substeps", "steps", "row_every", "tick_every", "delay", "seed")]
-    flags = [(n, ct.c_int) for n in ("method", "hold", "project")]
-
-    class Structs:
-        Setup = type("Setup", (ct.Structure,), {"_fields_": [*arrays, *times, *counts, *flags]})
-        Stop = type("Stop", (ct.Structure,), {"_fields_": [("reason", ct.c_int), ("detail", ct.c_int), ("t", real)]})
-
-    return Structs
-
-
-def _compile(sources: LoopSources, scalar: Scalar, compiler: str | None) -> ct.CDLL:
-    """One shared library of all the C."""
+def _compile(sources: LoopSources, scalar: Scalar, compiler: str | None, folder: Path) -> Path:
+    """One shared library of all the C, a file in `folder`."""
     options = [f"-I{folder}" for folder in sources.include_folders]
     bits = "64" if scalar == "float64" else "32"
     files = [str(file) for file in sources.sources]
-    return compile_library(sources.controller, compiler, ("-O2", f"-DSERVOGEN_SCALAR_BITS={bits}", *options, *files))
+    flags = ("-O2", f"-DSERVOGEN_SCALAR_BITS={bits}", *options, *files)
+    return build_library(sources.controller, folder, compiler, flags)

@@ -1,9 +1,27 @@
-"""A trajectory as text: one CSV file."""
+"""A trajectory, or what many runs came to, as text: one CSV file."""
 
 from pathlib import Path
 from typing import Any
 
+from servogen.simulate.runs import Runs
 from servogen.simulate.trajectory import Trajectory
+
+
+def write_runs_csv(runs: Runs, file: Path) -> Path:
+    """One line a run: seed, verdict, t of its end, what it drew, error and end of each row of psi, largest controls."""
+    columns: list[tuple[str, Any]] = [("seed", runs.seeds), ("verdict", runs.words), ("t", runs.t)]
+    columns += [(n, runs.draws[:, k]) for k, n in enumerate(runs.names)]
+    for name, values in (("error", runs.error), ("end", runs.end), ("tau", runs.tau)):
+        columns += [(f"{name}_{k}", values[:, k]) for k in range(values.shape[1])]
+    columns += [("share_of_tolerance", runs.share), ("rows_limited", runs.rows_limited)]
+    texts = [[_cell(str(entry)) for entry in column] for _, column in columns]
+    lines = [",".join(_cell(name) for name, _ in columns), *(",".join(row) for row in zip(*texts, strict=True))]
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    return file
+
+
+def _cell(text: str) -> str:
+    return f'"{text}"' if "," in text else text
 
 
 def write_csv(trajectory: Trajectory, file: Path) -> Path:
@@ -21,7 +39,7 @@ def write_csv(trajectory: Trajectory, file: Path) -> Path:
         columns += [(f"{name}_{k}", values[:, k]) for k in range(values.shape[1])]
     columns += [("status", trajectory.status), ("rank", trajectory.rank), ("sigma_min", trajectory.sigma_min)]
     columns += list(trajectory.outputs.items())
-    header = ",".join(f'"{name}"' if "," in name else name for name, _ in columns)
+    header = ",".join(_cell(name) for name, _ in columns)
     texts = [[str(number) for number in column] for _, column in columns]  # the shortest that reads back
     lines = (",".join(row) for row in zip(*texts, strict=True))
     file.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8", newline="\n")

@@ -1,6 +1,7 @@
 """What the constraints ought to do: the decay that Theta prescribes, Eqs. (4), (12)."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -9,47 +10,59 @@ from scipy.linalg import expm
 
 from servogen.derive.rates import rate
 from servogen.results import FloatArray
-from servogen.scene.constraints import Constraint, Holonomic, companion, expression_of
+from servogen.scene.constraints import Holonomic, companion, expression_of, theta_parts
 from servogen.scene.scene import Scene
 from servogen.simulate.simulation import known_symbols
 
 
+@dataclass(frozen=True, eq=False)
+class Prescribed:
+    """One constraint's decay: state' = matrix state, all SX; the state is psi (phi) and, of a holonomic one, psi'."""
+
+    psi: Any
+    psi_dot: Any | None
+    matrix: Any
+
+
+def prescribed(scene: Scene) -> tuple[Prescribed, ...]:
+    """psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi."""
+    found = []
+    for c in scene.constraints:
+        psi, parts = expression_of(c), theta_parts(c)
+        if isinstance(c, Holonomic):
+            found.append(Prescribed(psi, rate(scene, psi, f"constraint {c.name!r}: psi'"), companion(**parts)))
+        else:
+            found.append(Prescribed(psi, None, parts["Theta"]))
+    return tuple(found)
+
+
 def ideal_decay(
     scene: Scene,
-    start: dict[str, FloatArray],
+    start: Mapping[str, FloatArray],
     step: float,
     count: int,
     parameters: Mapping[str, FloatArray] | None = None,
+    psi: FloatArray | None = None,
 ) -> FloatArray:
     """psi (phi) at 0, step, 2 step, ... that starts as the scene does and obeys Theta: (count, m).
 
     start: every parameter and input at t = 0, by name. parameters: the controller's, of which Theta is made, where the
-    plant has others. psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi.
+    plant has others. psi (m,): as it is at the start, where that is known already.
     """
-    return np.hstack([_one(scene, c, start, start | dict(parameters or {}), step, count) for c in scene.constraints])
-
-
-def _one(
-    scene: Scene,
-    constraint: Constraint,
-    start: dict[str, FloatArray],
-    controller: dict[str, FloatArray],
-    step: float,
-    count: int,
-) -> FloatArray:
-    state = expression_of(constraint)
-    if isinstance(constraint, Holonomic):
-        matrix = companion(constraint.Theta1, constraint.Theta2)
-        state = ca.vertcat(state, rate(scene, state, f"constraint {constraint.name!r}: psi'"))
-    else:
-        matrix = constraint.Theta
-    now = value_at(scene, state, start).ravel()
-    forward = expm(value_at(scene, matrix, controller) * step)
-    states = np.empty((count, len(now)))
-    for k in range(count):
-        states[k] = now
-        now = forward @ now
-    return states[:, : constraint.size]
+    columns, row = [], 0
+    for part in prescribed(scene):
+        size = part.psi.size1()
+        now = value_at(scene, part.psi, start).ravel() if psi is None else psi[row : row + size].astype(float)
+        row += size
+        if part.psi_dot is not None:
+            now = np.concatenate([now, value_at(scene, part.psi_dot, start).ravel()])
+        forward = expm(value_at(scene, part.matrix, dict(start) | dict(parameters or {})) * step)
+        states = np.empty((count, len(now)))
+        for k in range(count):
+            states[k] = now
+            now = np.add.accumulate(forward * now, axis=1)[:, -1]  # in the order of firmware_sim/simulate/summary.c
+        columns.append(states[:, :size])
+    return np.hstack(columns)
 
 
 def value_at(scene: Scene, expression: Any, values: Mapping[str, FloatArray]) -> FloatArray:

@@ -17,11 +17,14 @@ from servogen.scene.scene import Scene
 if TYPE_CHECKING:
     from servogen.simulate.simulation import Simulation
 
-HOLD_SUBSTEPS = 4
+HOLD_SUBSTEPS = 2
 """Runge-Kutta steps between two ticks of a sampling controller: their error is far below that of the hold."""
 
+ACTUATOR_SUBSTEPS = 4
+"""The same where actuators have a rate or a lag, whose torque changes from one of these steps to the next."""
+
 MOST_SUBSTEPS = 64
-"""At most, where a delay that is no whole number of quarters of a tick asks for more."""
+"""At most, where a delay that is no whole number of halves of a tick asks for more."""
 
 MOST_DELAY = 32
 """Ticks: SIM_QUEUE of firmware_sim/simulate/machine.h, less one."""
@@ -44,6 +47,11 @@ class Actuators:
             given = getattr(self, name)
             if given is not None:
                 object.__setattr__(self, name, _magnitudes(given, f"actuators: {name}", name != "lag"))
+
+    @property
+    def move(self) -> bool:
+        """Whether their torque changes between two ticks: there is a rate or a lag."""
+        return any(math.isfinite(x) for x in self.rate or ()) or any(x > 0 for x in self.lag or ())
 
 
 @dataclass(frozen=True)
@@ -172,20 +180,21 @@ def grid_of(simulation: "Simulation", duration: float, step: float, hold: float 
         raise SceneError(
             f"hold = {hold:g} s and step = {step:g} s: one must be a multiple of the other; try hold = {near:g}"
         )
-    substeps, delay = _delayed(simulation.delay, hold, rows)
+    moving = simulation.actuators is not None and simulation.actuators.move
+    substeps, delay = _delayed(simulation.delay, hold, rows, ACTUATOR_SUBSTEPS if moving else HOLD_SUBSTEPS)
     return Grid(hold / rows, steps * ticks, substeps, ticks, rows, delay, hold)
 
 
-def _delayed(delay: float, hold: float, rows: int) -> tuple[int, int]:
+def _delayed(delay: float, hold: float, rows: int, least: int) -> tuple[int, int]:
     """Substeps in a grid step, the fewest that make the delay a whole number of them, and that number."""
     if delay > MOST_DELAY * hold:
         raise SceneError(f"delay = {delay:g} s is more than {MOST_DELAY} ticks of {hold:g} s; give a longer hold")
     step = hold / rows
-    for count in range(max(HOLD_SUBSTEPS // rows, 1), MOST_SUBSTEPS + 1):
+    for count in range(max(least // rows, 1), MOST_SUBSTEPS + 1):
         number = round(delay / step * count)
         if math.isclose(number * step, delay * count, rel_tol=1e-9, abs_tol=1e-12 * step):
             return count, number
-    near = round(delay / step * HOLD_SUBSTEPS) * step / HOLD_SUBSTEPS
+    near = round(delay / step * least) * step / least
     raise SceneError(f"delay = {delay:g} s is no simple fraction of hold = {hold:g} s; try {near:g}")
 
 

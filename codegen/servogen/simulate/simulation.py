@@ -16,6 +16,7 @@ from servogen.scene.polylines import polylines
 from servogen.scene.scene import Scene
 from servogen.scene.symbols import Field, chains
 from servogen.simulate.machine import Actuators, check_readings, machine_arrays, plant_scene
+from servogen.simulate.spread import check_spread
 
 METHODS = ("rk4", "dop8")
 """The rows of sim_methods in firmware_sim/simulate/loop.c, in its order."""
@@ -54,7 +55,9 @@ class Simulation:
     hold: seconds between two ticks of a controller that samples; tau is held in between. None: one tick a row where
         there are actuators, noise, quantisation or a delay; else the controller acts at every instant.
     disturbance: {"P": ..., "tau": ...}: forces beside P, or beside the controls, as numbers or functions of time.
-    seed: of the noise, a whole number below 2^32.
+    seed: of the noise, a whole number below 2^32; of many runs, the first one's.
+    spread: half-widths of what many runs draw, uniform: {"m": 0.1} is 10 % of the plant's parameter either way, and
+        {"q": 0.05}, {"u": ...} as much of the start in its own unit. A single run draws nothing.
     """
 
     start: Mapping[str, Any] = field(default_factory=dict)
@@ -79,11 +82,12 @@ class Simulation:
     hold: float | None = None
     disturbance: Mapping[str, Callable[[Any], Any] | Any] = field(default_factory=dict)
     seed: int = 0
+    spread: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for what in (
             *("start", "outputs", "decay", "stop", "references", "units", "domain"),
-            *("noise", "quantise", "disturbance"),
+            *("noise", "quantise", "disturbance", "spread"),
         ):
             if not isinstance(getattr(self, what), Mapping):
                 raise SceneError(f"simulation: {what} = {getattr(self, what)!r}; give {{'name': ...}}")
@@ -155,6 +159,7 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     _check_run_domain(scene, simulation)
     if isinstance(simulation.plant, Mapping):
         checked(simulation.plant, run_takes(scene)["parameters"], "plant")
+    check_spread(scene, simulation.spread)
     plant_scene(scene, simulation)
     machine_arrays(scene, simulation, 1.0)
     names = {"psi", "phi", "drawing", *simulation.outputs, *(n for n, _ in known_symbols(scene))}

@@ -42,7 +42,7 @@ class LoopSources:
     def sources(self) -> tuple[Path, ...]:
         """C files beside the controller's."""
         packages = [p.path / f"{p.prefix}.c" for p in (self.plant, self.watch, self.guide) if p is not None]
-        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "machine.c", "record.c")]
+        hand_written = [firmware_sim() / "simulate" / name for name in ("loop.c", "machine.c", "record.c", "summary.c")]
         return (self.folder / f"{self.controller.prefix}_loop.c", *packages, *hand_written)
 
 

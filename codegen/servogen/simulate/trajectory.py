@@ -96,6 +96,12 @@ class Trajectory:
         row = int(np.argmax(errors))
         return float(errors[row]), float(self.t[row])
 
+    @property
+    def shares(self) -> FloatArray:
+        """(N,), the largest deviation from the prescribed decay at each row, as a share of its tolerance."""
+        deviation = np.abs(self.constraint - self.ideal).astype(float)
+        return np.asarray(np.max(deviation / self.claim.tolerance, axis=1)) if len(self.t) else np.zeros(0)
+
     def off_decay(self, unit: str | None = None) -> str:
         """constraint_error in words."""
         error, t = self.constraint_error

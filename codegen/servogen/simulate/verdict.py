@@ -40,6 +40,54 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class Outline:
+    """The bare facts of a run, from which its word follows. Rows count from 0; None: never.
+
+    left, inconsistent, limited, off: the first row at which the state was outside its ranges, the constraints were
+    not all met, an actuator held a control back, psi was beyond its tolerance.
+    growing: psi off its decay was on its way out.
+    end: the word of what ended the run before its time, or None; rows: that it left behind.
+    """
+
+    rows: int
+    left: int | None
+    inconsistent: int | None
+    limited: int | None
+    off: int | None
+    growing: bool
+    end: str | None
+
+
+def word_of(outline: Outline) -> str:
+    """What happened first."""
+    o = outline
+    weak = o.limited if o.limited is not None and o.off is not None and o.limited <= o.off else None
+    named = ((o.left, "left the domain"), (o.inconsistent, "inconsistent"), (weak, "limited"), (_last(o), o.end or ""))
+    happened = [(row, word) for row, word in named if row is not None]
+    if happened:
+        return min(happened, key=lambda pair: pair[0])[1]
+    return "not held" if o.off is not None or o.growing else "held"
+
+
+def word_of_end(reason: str, event: str, status: Status) -> str | None:
+    """The word of what ended a run before its time, see trajectory.Stop."""
+    if reason == "finished":
+        return None
+    if reason == "event":
+        return f"stopped: {event}"
+    return f"refused: {status.name}" if reason == "controller" else f"stopped: {reason} {status.name}"
+
+
+def grows(third: float, last: float) -> bool:
+    """Whether a deviation, as a share of its tolerance, is on its way out: its largest in two quarters of a run."""
+    return last > max(GROWTH * third, 0.01)
+
+
+def _last(outline: Outline) -> int | None:
+    return None if outline.end is None else outline.rows - 1
+
+
+@dataclass(frozen=True)
 class _Finding:
     """Something that keeps a run from being held: since when, the word, what happened, what to try."""
 
@@ -140,26 +188,25 @@ def _limited(run: "Trajectory") -> Iterator[_Finding]:
 
 def _ended(run: "Trajectory") -> Iterator[_Finding]:
     stop = run.stop
+    word = word_of_end(stop.reason, stop.event, stop.status) or ""
     if stop.reason == "event":
         yield _Finding(
             stop.t,
-            f"stopped: {stop.event}",
+            word,
             f"the run's own stop {stop.event!r} ended it",
             f"If that is its natural end, run it for less than {stop.t:.4g} s; if not, see what leads there.",
         )
     elif stop.reason == "controller":
         told = f"the controller refused: {STATUS_MEANING[stop.status]}"
-        yield _Finding(stop.t, f"refused: {stop.status.name}", told, _advice_of(stop.status))
+        yield _Finding(stop.t, word, told, _advice_of(stop.status))
     elif stop.reason != "finished":
         told = f"the {stop.reason} could not be computed: {STATUS_MEANING[stop.status]}"
-        yield _Finding(stop.t, f"stopped: {stop.reason} {stop.status.name}", told, _advice_of(stop.status))
+        yield _Finding(stop.t, word, told, _advice_of(stop.status))
 
 
 def _refused_at_the_start(run: "Trajectory") -> Verdict:
     stop = run.stop
-    word = (
-        f"refused: {stop.status.name}" if stop.reason == "controller" else f"stopped: {stop.reason} {stop.status.name}"
-    )
+    word = word_of_end(stop.reason, stop.event, stop.status) or ""
     reason = f"The {stop.reason} refused the start: {STATUS_MEANING[stop.status]}."
     return Verdict(word, reason, _advice_of(stop.status))
 
@@ -185,7 +232,7 @@ def _off(run: "Trajectory") -> _Off:
     growing = False
     if quarter > 1 and not len(beyond):
         before, last = largest[-2 * quarter : -quarter].max(), largest[-quarter:].max()
-        growing = bool(last > max(GROWTH * before, 0.01))
+        growing = grows(float(before), float(last))
     unit = claim.row_units[k]
     share_told = "" if math.isnan(claim.relative[k]) else f", {claim.relative[k]:.3g} of its size over the domain"
     tolerance = f"tolerance {_number(claim.tolerance[k], unit)}{share_told}"

@@ -65,21 +65,28 @@ def load_package(
 
 def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
     """The package's C, and `extra` C beside it, as a shared library in this process."""
+    with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
+        return ct.CDLL(str(build_library(package, FilePath(folder), compiler, flags, extra)))
+
+
+def build_library(
+    package: "Package", folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
+) -> FilePath:
+    """The shared library as a file in `folder`. Raises ToolMissing and CompilerRefused as load_package does."""
     command = compiler or os.environ.get("CC", "cc")
     if shutil.which(command.split()[0]) is None:
         raise ToolMissing(f"no C compiler {command!r} on this machine; install one: apt-get install gcc")
-    with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
-        library = FilePath(folder) / f"{package.prefix}.so"
-        sources = [str(package.path / f"{package.prefix}.c")]
-        if extra:
-            beside = FilePath(folder) / "extra.c"
-            beside.write_text(extra)
-            sources.append(str(beside))
-        argv = [*command.split(), *CROSS_CHECK_FLAGS, *flags, "-fPIC", "-shared", f"-I{package.path}", *sources]
-        run = subprocess.run([*argv, "-o", str(library), "-lm"], capture_output=True, text=True)
-        if run.returncode != 0:
-            raise CompilerRefused(f"{command} refused {package.prefix}.c:\n{run.stderr}")
-        return ct.CDLL(str(library))
+    library = folder / f"{package.prefix}.so"
+    sources = [str(package.path / f"{package.prefix}.c")]
+    if extra:
+        beside = folder / "extra.c"
+        beside.write_text(extra)
+        sources.append(str(beside))
+    argv = [*command.split(), *CROSS_CHECK_FLAGS, *flags, "-fPIC", "-shared", f"-I{package.path}", *sources]
+    run = subprocess.run([*argv, "-o", str(library), "-lm"], capture_output=True, text=True)
+    if run.returncode != 0:
+        raise CompilerRefused(f"{command} refused {package.prefix}.c:\n{run.stderr}")
+    return library
 
 
 def _shape(module: Module) -> dict[str, int]:

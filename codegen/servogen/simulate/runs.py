@@ -1,0 +1,130 @@
+"""What a thousand runs came to: quantiles, verdicts, the worst ones with their seeds, and what hurts most."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from servogen.results import FloatArray, Status
+from servogen.simulate.claim import Claim
+from servogen.simulate.verdict import Outline, grows, word_of, word_of_end
+
+QUANTILES = (0.05, 0.5, 0.95, 1.0)
+"""Of what runs came to: the best twentieth, the middle, the worst twentieth, the worst."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """N runs of a scene. `ClosedLoop.run(replay=seed)` does one of them again, with its rows.
+
+    seeds (N,), names, draws (N, d): what varied. words (N,): their verdicts. t (N,): of the last row, seconds.
+    error (N, m): the largest deviation of each row of psi (phi) from its prescribed decay; end (N, m): |psi| at the
+    last row; share (N,): the largest deviation over its tolerance. tau (N, l): the largest magnitude of each control.
+    statuses: how many rows of all runs said what. claim: what they were held to. seconds: that they took.
+    A run without a row, whose start was refused, has NaN.
+    """
+
+    scene: str
+    seeds: Any
+    names: tuple[str, ...]
+    draws: FloatArray
+    words: tuple[str, ...]
+    t: FloatArray
+    error: FloatArray
+    end: FloatArray
+    share: FloatArray
+    tau: FloatArray
+    rows_limited: Any
+    statuses: dict[str, int]
+    claim: Claim
+    seconds: float = 0.0
+
+    @property
+    def verdicts(self) -> dict[str, int]:
+        """How many runs came to what, the most frequent first."""
+        return dict(Counter(self.words).most_common())
+
+    @property
+    def held(self) -> bool:
+        """Whether all of them were."""
+        return set(self.words) == {"held"}
+
+    def quantiles(self, shares: Sequence[float] = QUANTILES) -> dict[str, FloatArray]:
+        """name -> quantiles of the runs that have rows: each row's error and end, each control's largest magnitude."""
+        some = np.isfinite(self.share)
+        named: list[tuple[str, FloatArray]] = [
+            (f"{n}: off its decay", self.error[:, k]) for k, n in _each(self.claim.rows)
+        ]
+        named += [(f"{n}: at the end", self.end[:, k]) for k, n in _each(self.claim.rows)]
+        named += [(f"largest |tau[{k}]|", self.tau[:, k]) for k in range(self.tau.shape[1])]
+        return {n: np.quantile(v[some], shares) if some.any() else np.full(len(shares), np.nan) for n, v in named}
+
+    def worst(self, count: int = 5) -> list[int]:
+        """Indices of the worst runs: those that were not held first, the largest share of the tolerance first."""
+        share = np.nan_to_num(self.share, nan=np.inf, posinf=np.inf)
+        bad = np.array([word != "held" for word in self.words])
+        return [int(k) for k in np.lexsort((self.seeds, -share, ~bad))[:count]]
+
+    @property
+    def correlation(self) -> dict[str, float]:
+        """name -> rank correlation (Spearman's) of what varied, by how far it was off its nominal value, with the share
+        of the tolerance; the largest first. Near 1: what hurts; near 0: what does not matter."""
+        some = np.isfinite(self.share)
+        if some.sum() < 3:
+            return {}
+        middle = (self.draws.max(axis=0) + self.draws.min(axis=0)) / 2
+        found = {}
+        for k, name in enumerate(self.names):
+            value = self.draws[some, k]
+            signed = float(spearmanr(value, self.share[some]).statistic)
+            away = float(spearmanr(np.abs(value - middle[k]), self.share[some]).statistic)
+            found[name] = signed if abs(signed) >= abs(away) else away
+        return dict(sorted(found.items(), key=lambda pair: -abs(np.nan_to_num(pair[1]))))
+
+
+def _each(rows: Sequence[str]) -> list[tuple[int, str]]:
+    return list(enumerate(rows))
+
+
+def runs_of(
+    scene: str,
+    found: Any,
+    reasons: Mapping[int, str],
+    events: Sequence[str],
+    claim: Claim,
+    sizes: tuple[int, int, int, int],
+    drawn: Any,
+    seconds: float,
+) -> Runs:
+    """From the summaries of simulate/batch.py."""
+    m, l = sizes[3], sizes[2]
+    none = found["rows"] == 0
+    counts = found["statuses"].sum(axis=0)
+    return Runs(
+        scene=scene,
+        seeds=drawn.seeds,
+        names=drawn.names,
+        draws=drawn.values,
+        words=tuple(_word(run, reasons, events) for run in found),
+        t=found["t"],
+        error=np.where(none[:, None], np.nan, found["error"][:, :m]),
+        end=np.where(none[:, None], np.nan, found["end"][:, :m]),
+        share=np.where(none, np.nan, found["share"]),
+        tau=np.where(none[:, None], np.nan, found["tau"][:, :l]),
+        rows_limited=found["rows_limited"],
+        statuses={Status(k).name: int(n) for k, n in enumerate(counts) if n},
+        claim=claim,
+        seconds=seconds,
+    )
+
+
+def _word(run: Any, reasons: Mapping[int, str], events: Sequence[str]) -> str:
+    reason = reasons[int(run["reason"])]
+    event = events[int(run["detail"])] if reason == "event" else ""
+    status = Status.OK if reason in ("event", "finished") else Status(int(run["detail"]))
+    first = {n: None if run[n] < 0 else int(run[n]) for n in ("left", "inconsistent", "limited", "off")}
+    growing = bool(grows(float(run["third"]), float(run["last"])))
+    return word_of(Outline(int(run["rows"]), **first, growing=growing, end=word_of_end(reason, event, status)))

@@ -1,0 +1,51 @@
+"""The same run on machines that are not the model: heavier, noisy, late, weak."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from servogen.scene.scene import Scene
+from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.machine import Actuators
+from servogen.simulate.trajectory import Trajectory
+
+TICK = 1e-3
+"""Seconds between two ticks of the controller in every trial but the first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A machine in words, and the run on it."""
+
+    machine: str
+    run: Trajectory
+
+
+def trials(loop: ClosedLoop) -> tuple[Trial, ...]:
+    """The run as the simulation has it, then with a controller of a tick a millisecond on machines with one flaw each.
+
+    Every parameter in kg (kg m^2) a fifth larger in the plant; noise of a ten-thousandth of the range that is claimed
+    for q and a thousandth of u's; a delay of two ticks; actuators that give 0.8 of the largest torque of the first run.
+    """
+    first = loop.run()
+    found = [Trial("as the simulation has it", first)]
+    if not len(first.t):
+        return tuple(found)
+    for words, machine in _machines(loop.scene, first).items():
+        found.append(Trial(words, loop.run(step=TICK, hold=TICK, **machine)))
+    return tuple(found)
+
+
+def _machines(scene: Scene, first: Trajectory) -> dict[str, dict[str, Any]]:
+    masses = {f.name: 1.2 * np.asarray(f.default) for f in scene.parameters if "kg" in f.unit}
+    width = first.claim.high - first.claim.low
+    width = np.where(np.isfinite(width), width, 2 * np.pi)
+    nq = first.q.shape[1]
+    machines: dict[str, dict[str, Any]] = {"a tick of 1 ms": {}}
+    if masses:
+        machines["masses 20 % larger"] = {"plant": masses}
+    machines["noisy sensors"] = {"noise": {"q": 1e-4 * width[:nq], "u": 1e-3 * width[nq:]}}
+    machines["2 ms late"] = {"delay": 2 * TICK}
+    machines["0.8 of the torque"] = {"actuators": Actuators(limit=0.8 * np.max(np.abs(first.tau), axis=0))}
+    return machines
