@@ -28,7 +28,7 @@ class _Room:
     letter: float
 
 
-_WIDE, _NARROW = _Room(8.5, 0.052, 0.045, 0.0135), _Room(8, 0.058, 0.05, 0.0185)
+_WIDE, _NARROW = _Room(8.5, 0.052, 0.045, 0.0135), _Room(8, 0.058, 0.05, 0.021)
 
 
 def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
