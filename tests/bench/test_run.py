@@ -4,13 +4,14 @@ import dataclasses
 import math
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
-from servogen.bench.plot import _labels, _spread, draw, pareto
+from servogen.bench.plot import _NARROW, _WIDE, _labels, _spread, draw, pareto
 from servogen.bench.results import Output
 from servogen.bench.run import bench
 from servogen.loading import load_scene
@@ -114,22 +115,23 @@ def test_labels_of_close_markers_stand_apart() -> None:
         (np.float64(0.1), np.float64(0.501)),
         (np.float64(0.9), np.float64(0.5)),
     ]
-    heights = _spread(spots)
+    heights = _spread(spots, _WIDE.height)
     assert np.min(np.diff(sorted(heights))) > 0.05
-    assert _spread([(0.1, 0.2), (0.9, 0.8)]) == [0.2, 0.8]  # nothing moves that need not
+    assert _spread([(0.1, 0.2), (0.9, 0.8)], _WIDE.height) == [0.2, 0.8]  # nothing moves that need not
 
 
 @pytest.mark.parametrize("x", [0.0, 0.3, 0.5, 0.6, 0.7, 1.0])
-def test_no_label_leaves_its_panel(x: float) -> None:
+@pytest.mark.parametrize(("room", "width", "left"), [(_WIDE, 5.4, 0.01), (_NARROW, 4.0, 0.17)])
+def test_no_label_leaves_its_panel(x: float, room: Any, width: float, left: float) -> None:
     """A long name in the middle ran beyond the right edge and was cut."""
-    figure = Figure(figsize=(5.4, 6.2))
+    figure = Figure(figsize=(width, 6.2))
     axes = figure.subplots()
-    figure.subplots_adjust(left=0.01, right=0.99)  # as wide as in a bench of two panels
+    figure.subplots_adjust(left=left, right=0.99)  # as wide as in a bench of two panels, and on a telephone
     errors = SimpleNamespace(nonfinite=0, largest_ulps=10.1)
     row = SimpleNamespace(
         ours=True, contender="servogen, adam's model", times=SimpleNamespace(median=1083.0), errors=errors
     )
-    _labels(axes, [row], [(x, 0.5)])  # type: ignore[list-item]
+    _labels(axes, [row], [(x, 0.5)], room)  # type: ignore[list-item]
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     label = axes.texts[0].get_window_extent(canvas.get_renderer())  # type: ignore[no-untyped-call]

@@ -141,6 +141,7 @@ def test_it_is_written_as_a_person_would() -> None:
         ca.power(v, 3) * 0.25: "(ω_0^3)/(4)",
         3 * (v + 2 * w): "3 (ω_0+2 ω_1)",
         -x: "−x",
+        -0.3 * x: "−0.3 x",
         1 * x + 0 * v: "x",
     }
     inputs = [(Input(s.name(), 1), s) for s in (m, v, w, x)]

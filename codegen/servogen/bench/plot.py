@@ -28,7 +28,7 @@ class _Room:
     letter: float
 
 
-_WIDE, _NARROW = _Room(8.5, 0.052, 0.045, 0.0135), _Room(8, 0.058, 0.05, 0.0185)
+_WIDE, _NARROW = _Room(8.5, 0.052, 0.045, 0.0135), _Room(8, 0.058, 0.05, 0.021)
 
 
 def draw(bench: Bench, folder: Path) -> tuple[Path, ...]:
@@ -50,10 +50,10 @@ def narrow_figures(bench: Bench) -> dict[Output, Figure]:
             figure = Figure(figsize=(4.0, 4.0))
             FigureCanvasAgg(figure)
             axes = figure.subplots()
-            figure.subplots_adjust(left=0.15, right=0.99, top=0.99, bottom=0.12)
+            figure.subplots_adjust(left=0.17, right=0.99, top=0.99, bottom=0.12)
             _panel(axes, bench, output, _NARROW)
             axes.set_title("", loc="left")
-            axes.set_ylabel("largest error, of the largest magnitude")
+            axes.set_ylabel("largest error / largest magnitude")
             found[output] = figure
     return found
 

@@ -38,7 +38,7 @@ def draw_motion(motion: Motion, label: str, unit: str = "") -> Drawing:
     """label: what it shows, for who cannot see it; unit: of the points."""
     space = motion.lines[0].shape[2] == 3
     reach = np.vstack([line.reshape(-1, line.shape[2]) for line in motion.lines])
-    step = _nice(np.ptp(reach, axis=0).max() / 4 or 0.25)
+    step = _nice(np.ptp(reach, axis=0).max() / 5 or 0.2)
     ground = _ground(reach, step) if space else np.zeros((0, 3))
     flat = [line @ _SPACE.T if space else line for line in motion.lines]
     seen = np.vstack([*(line.reshape(-1, 2) for line in flat), ground @ _SPACE.T if space else np.zeros((0, 2))])

@@ -195,7 +195,7 @@ class _Writer:
         number = _as_fraction(abs(term.number))
         top, bottom = self._powers(term.above), self._powers(term.below)
         negative = term.number < 0
-        if number.denominator > _SHORT:
+        if number.denominator > _SHORT or _is_decimal(number):
             top.insert(0, _number(number))
             number = Fraction(1)
         over, under = mn(str(number.numerator)), mn(str(number.denominator))
@@ -294,6 +294,11 @@ def _juxtaposed(factors: Sequence[Text]) -> str:
 def _closed(operand: Text) -> str:
     text, binding = operand
     return text if binding > _SUM else bracketed(text)
+
+
+def _is_decimal(value: Fraction) -> bool:
+    """Whether one writes 0.3 or 1.25 rather than a fraction; halves, quarters and eighths are fractions."""
+    return value.denominator not in (1, 2, 4, 8) and len(f"{float(value):.15g}") <= 6
 
 
 def _as_fraction(value: Fraction) -> Fraction:

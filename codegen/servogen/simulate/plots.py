@@ -227,7 +227,7 @@ def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: Flo
 def _margin_panels(simulation: Simulation, trajectory: Trajectory, unit: str | None) -> list[Panel]:
     """What is watched, and where it would end the run."""
     watched = [
-        ("sigma_min of the raw S", trajectory.sigma_min, simulation.sigma_min),
+        ("smallest singular value", trajectory.sigma_min, simulation.sigma_min),
         (_axis("largest |τ|", unit), np.max(np.abs(trajectory.tau), axis=1), simulation.tau_max),
     ]
 
@@ -256,9 +256,9 @@ def _legend(axis: Any, count: int) -> None:
         size = matplotlib.rcParams["legend.fontsize"]
         letters = 72 * axis.figure.get_figwidth() / (0.6 * size) - 8  # of a row, less the axis
         longest = max(len(label) for label in axis.get_legend_handles_labels()[1])
-        if count * (longest + 6) > 2 * letters:
+        if count * (longest + 5) > 2 * letters:
             size, letters = size - 2, letters * size / (size - 2)
-        columns = max(1, min(count, int(letters / (longest + 6))))
+        columns = max(1, min(count, int(letters / (longest + 5))))
         axis.legend(ncols=columns, fontsize=size, handlelength=1.6, columnspacing=1.2, **above)
 
 
