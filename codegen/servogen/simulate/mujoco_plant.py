@@ -55,6 +55,7 @@ class MujocoLoop(ClosedLoop):
         self._twin: Any = build(scene, scalar=scalar).load()
         symbols = known_symbols(scene)
         stops = ca.vertcat(ca.SX(0, 1), *self.simulation.stop.values())
+        self._watched = [name for name, _ in symbols]
         self._watch = ca.Function("watch", [s for _, s in symbols], [stops, ca.densify(scene.mechanism.G)])
 
     def run(self, **options: Any) -> Trajectory:
@@ -108,7 +109,7 @@ class MujocoLoop(ClosedLoop):
             rows.append(np.concatenate([[t], q, u, tau, constraint, [info.sigma_min]]))
             marks.append((int(info.status), info.rank))
             values = parameters | state | {"tau": tau}
-            stops, G = (np.array(v) for v in self._watch(*(ca.DM(values[n]) for n, _ in known_symbols(self.scene))))
+            stops, G = (np.array(v) for v in self._watch(*(values[n] for n in self._watched)))
             event = self._event(stops.ravel(), info, tau)
             if event:
                 return found(Stop("event", float(t), event))

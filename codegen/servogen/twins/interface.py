@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.symbols import Field
 
 
 class Twin(ABC):
@@ -58,10 +60,15 @@ class Twin(ABC):
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
         return self._control("control", self.read_inputs(inputs), self._last(last))
 
+    @cached_property
+    def _fields(self) -> dict[str, Field]:
+        """Every input of the scene by name; kept, for a controller is called at each tick."""
+        return {f.name: f for f in self.scene.input_fields()}
+
     def read_inputs(self, given: dict[str, Any]) -> dict[str, FloatArray]:
         """Every input of the scene as an array (size,)."""
         scene = self.scene
-        fields = {f.name: f for f in scene.input_fields()}
+        fields = self._fields
         sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
             n: f.size for n, f in fields.items()
         }
