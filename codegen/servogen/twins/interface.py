@@ -14,6 +14,7 @@ from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, St
 from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene, expressions
+from servogen.scene.symbols import Field
 
 _OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
 """Functions that need no model."""
@@ -109,10 +110,15 @@ class Twin(ABC):
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
         return self._control("control", self.read_inputs(inputs, "control"), self._last(last))
 
+    @cached_property
+    def _fields(self) -> dict[str, Field]:
+        """Every input of the scene by name; kept, for a controller is called at each tick."""
+        return {f.name: f for f in self.scene.input_fields()}
+
     def read_inputs(self, given: dict[str, Any], function: str = "control") -> dict[str, FloatArray]:
         """Every input of the scene as an array (size,). TypeError where a state that the function needs is missing."""
         scene = self.scene
-        fields = {f.name: f for f in scene.input_fields()}
+        fields = self._fields
         sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
             n: f.size for n, f in fields.items()
         }
