@@ -40,7 +40,7 @@ def folded(text: str) -> str:
             in_comment = True
             continue
         elif found := _TRAILING.match(line):
-            rest += [found[1] + found[2], found[1] + found[3]]
+            rest += [found[1] + found[2].rstrip(), found[1] + found[3]]
         else:
             lines += _broken(line)
         in_comment = starts or (in_comment and not ends)

@@ -40,7 +40,7 @@ enum double_pendulum_energy_path {
 
 typedef struct double_pendulum_energy_info {
     /* as returned; where it is negative, path is DOUBLE_PENDULUM_ENERGY_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* DOUBLE_PENDULUM_ENERGY_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */

@@ -37,7 +37,7 @@
 #define DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
 
 /* ---- pseudo-inverse of G, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
-   From here to the end of the solver G is called S, R is z and tau is tau.
+   From here to the end of the solver G is called S, R is called z.
    Its theory, with the sources, is servogen's numerics.md. */
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
@@ -1094,8 +1094,8 @@ static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_pinv_cor
 typedef double_pendulum_ideal_f32_info double_pendulum_ideal_f32_reaction_info;
 
 /* ---- pseudo-inverse of J Q^-1 J^T, 1 x 1, row-major: one row s, s^T / (s s^T) ----
-   From here to the end of the solver J Q^-1 J^T is called S, its right side is z and the force of the constraints is
-   tau. Its theory, with the sources, is servogen's numerics.md. */
+   From here to the end of the solver J Q^-1 J^T is called S, its right side is called z, the force of the constraints
+   is called tau. Its theory, with the sources, is servogen's numerics.md. */
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
 /* a row whose relative residual is at most this is met */
@@ -1825,7 +1825,7 @@ static const double_pendulum_ideal_f32_info double_pendulum_ideal_f32_known_info
     DOUBLE_PENDULUM_IDEAL_F32_OK, DOUBLE_PENDULUM_IDEAL_F32_PATH_PRECOMPUTED, 2, 0, 0.618034f, 0.0f
 };
 
-/* tau = y + S+ (z - S y), where S is G, whose pseudo-inverse S_pinv is at hand, and z is R; y may be NULL. */
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_pinv,
     const double_pendulum_ideal_f32_info *known, const float *z, const float *y, float *tau,
     double_pendulum_ideal_f32_info *info)

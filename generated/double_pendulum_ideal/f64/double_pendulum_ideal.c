@@ -37,7 +37,7 @@
 #define DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
 
 /* ---- pseudo-inverse of G, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
-   From here to the end of the solver G is called S, R is z and tau is tau.
+   From here to the end of the solver G is called S, R is called z.
    Its theory, with the sources, is servogen's numerics.md. */
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
@@ -1125,8 +1125,8 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_pinv_core(const 
 typedef double_pendulum_ideal_info double_pendulum_ideal_reaction_info;
 
 /* ---- pseudo-inverse of J Q^-1 J^T, 1 x 1, row-major: one row s, s^T / (s s^T) ----
-   From here to the end of the solver J Q^-1 J^T is called S, its right side is z and the force of the constraints is
-   tau. Its theory, with the sources, is servogen's numerics.md. */
+   From here to the end of the solver J Q^-1 J^T is called S, its right side is called z, the force of the constraints
+   is called tau. Its theory, with the sources, is servogen's numerics.md. */
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
 /* a row whose relative residual is at most this is met */
@@ -1845,7 +1845,7 @@ static const double_pendulum_ideal_info double_pendulum_ideal_known_info = {
     DOUBLE_PENDULUM_IDEAL_OK, DOUBLE_PENDULUM_IDEAL_PATH_PRECOMPUTED, 2, 0, 0.6180339887498949, 0.0
 };
 
-/* tau = y + S+ (z - S y), where S is G, whose pseudo-inverse S_pinv is at hand, and z is R; y may be NULL. */
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_solve_known(const double *S, const double *S_pinv,
     const double_pendulum_ideal_info *known, const double *z, const double *y, double *tau,
     double_pendulum_ideal_info *info)

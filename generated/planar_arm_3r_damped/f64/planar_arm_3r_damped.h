@@ -40,7 +40,7 @@ enum planar_arm_3r_damped_path {
 
 typedef struct planar_arm_3r_damped_info {
     /* as returned; where it is negative, path is PLANAR_ARM_3R_DAMPED_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* PLANAR_ARM_3R_DAMPED_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */

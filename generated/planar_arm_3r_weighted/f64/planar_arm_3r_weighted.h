@@ -40,7 +40,7 @@ enum planar_arm_3r_weighted_path {
 
 typedef struct planar_arm_3r_weighted_info {
     /* as returned; where it is negative, path is PLANAR_ARM_3R_WEIGHTED_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* PLANAR_ARM_3R_WEIGHTED_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */

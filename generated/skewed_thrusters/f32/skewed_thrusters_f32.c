@@ -1847,7 +1847,7 @@ int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f3
     return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
 }
 
-/* tau = y + S+ (z - S y), where S is S, whose pseudo-inverse S_pinv is at hand, and z is z; y may be NULL. */
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
 static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
     const skewed_thrusters_f32_info *known, const float *z, const float *y, float *tau,
     skewed_thrusters_f32_info *info)

@@ -1835,7 +1835,7 @@ int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info
     return skewed_thrusters_pinv_core(S, S_pinv, info);
 }
 
-/* tau = y + S+ (z - S y), where S is S, whose pseudo-inverse S_pinv is at hand, and z is z; y may be NULL. */
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
 static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, const skewed_thrusters_info *known,
     const double *z, const double *y, double *tau, skewed_thrusters_info *info)
 {

@@ -40,7 +40,7 @@ enum skewed_thrusters_path {
 
 typedef struct skewed_thrusters_info {
     /* as returned; where it is negative, path is SKEWED_THRUSTERS_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* SKEWED_THRUSTERS_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */

@@ -40,7 +40,7 @@ enum spacecraft_f32_path {
 
 typedef struct spacecraft_f32_info {
     /* as returned; where it is negative, path is SPACECRAFT_F32_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* SPACECRAFT_F32_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */

@@ -37,7 +37,7 @@
 #define SPACECRAFT_SMOOTH_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
 
 /* ---- pseudo-inverse of A, 1 x 3, row-major: one row s, s^T / (s s^T) ----
-   From here to the end of the solver A is called S, B is z and tau' is tau.
+   From here to the end of the solver A is called S, B is called z, tau' is called tau.
    Its theory, with the sources, is servogen's numerics.md. */
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */

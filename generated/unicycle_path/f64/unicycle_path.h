@@ -39,7 +39,7 @@ enum unicycle_path_path {
 
 typedef struct unicycle_path_info {
     /* as returned; where it is negative, path is UNICYCLE_PATH_PATH_NONE and all other members are zero */
-    int status;        
+    int status;
     int path;           /* UNICYCLE_PATH_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
