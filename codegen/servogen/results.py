@@ -36,8 +36,9 @@ STATUS_MEANING: dict[Status, str] = {
 
 
 class Path(IntEnum):
-    """Which rung of the solver's ladder gave the answer."""
+    """Which rung of the solver's ladder gave the answer; NONE where the call was refused."""
 
+    NONE = -1
     PRECOMPUTED = 0
     CLOSED_FORM = 1
     NORMAL = 2

@@ -42,7 +42,10 @@ def render(m, l, scalar, solver):
     uses = f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info);\n"
     uses += f"int use(const {plan.real} *S, const {plan.real} *z, {plan.real} *x, pinv_info *info)\n"
     uses += "{ return pinv_solve_core(S, z, NULL, x, info) + pinv_pinv_core(S, x, info); }\n"
-    parts = [TEMPLATES.get_template(f"solver/{name}.j2").render(context) for name in ("info.h", "solver.c")]
+    parts = [
+        TEMPLATES.get_template(f"{name}.j2").render(context)
+        for name in ("number.c", "solver/info.h", "solver/solver.c")
+    ]
     return "\n".join(["#include <math.h>\n#include <stddef.h>\n#include <stdint.h>", *parts, uses])
 
 

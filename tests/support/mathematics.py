@@ -38,6 +38,7 @@ def source(scalar, functions=FUNCTIONS):
     """C of the functions, named own_sin and so on, behind the includes they need."""
     context = {
         "p": "own",
+        "P": "OWN",
         "real": "double" if scalar == "float64" else "float",
         "bits": BITS[scalar],
         "mt": math_context(scalar),
@@ -45,8 +46,8 @@ def source(scalar, functions=FUNCTIONS):
         "lit": None,
     }
     head = "#include <float.h>\n#include <math.h>\n#include <stddef.h>\n#include <stdint.h>\n"
-    text = environment().get_template("solver/bits.c.j2").render(context)
-    return head + text
+    text = [environment().get_template(name).render(context) for name in ("number.c.j2", "solver/bits.c.j2")]
+    return head + "\n".join(text)
 
 
 def write(folder, scalar, edit=lambda text: text):

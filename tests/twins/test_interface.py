@@ -226,7 +226,7 @@ def test_an_input_that_is_not_finite_leaves_every_output(name: str) -> None:
                 for entry in solving:
                     extra = (0.01,) if entry == "step" else ()
                     answer = getattr(twin, entry)(*extra, **inputs, last=last)
-                    assert answer.info == sg.Info(sg.Status.NONFINITE, sg.Path(0), 0, 0, 0.0, 0.0)
+                    assert answer.info == sg.Info(sg.Status.NONFINITE, sg.Path.NONE, 0, 0, 0.0, 0.0)
                     assert np.array_equal(answer.value, last)
                     other = getattr(reference, entry)(*extra, **inputs, last=last)
                     assert other.info.status == sg.Status.NONFINITE, (entry, f.name)

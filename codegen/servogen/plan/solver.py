@@ -39,7 +39,8 @@ CONSISTENCY = 8
 """A row is met when its residual is below CONSISTENCY max(m, l) u (|S_i| (|tau| + |y|) + |z_i|): a backward error."""
 
 PATH_MEANING: dict[Path, str] = {
-    Path.PRECOMPUTED: "S does not depend on the state: its pseudo-inverse was made at generation, or by prepare",
+    Path.NONE: "by none, for the call was refused",
+    Path.PRECOMPUTED: "the matrix does not depend on the state: inverted at generation, or by prepare",
     Path.CLOSED_FORM: "one row or one column",
     Path.NORMAL: "normal equations, certified and refined",
     Path.QR: "pivoted QR, certified and refined",
@@ -314,14 +315,21 @@ def _square_above(bound: float) -> int:
     return 2 * math.frexp(bound)[1] + 1 if bound > 0 else -(2**30)
 
 
+PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
+"""The names of the solver's equation S tau = z in comments where a scene has none of its own."""
+
+
 def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
     """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name."""
     return {
         "p": prefix,
         "P": prefix.upper(),
+        "K": prefix.upper(),  # of the names of this solver's numbers; another solver of the same package has its own
         "real": plan.real,
         "plan": plan,
         "bits": BITS[plan.scalar],
+        "named": PLAIN,
+        "solved": PLAIN,
         "lit": literal,
         "emit": {"solve": True, "pinv": True, "known": False},  # the functions to print; a scene may need fewer
         "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],

@@ -1,14 +1,18 @@
 """Straight-line C from a program: one statement an operation. The printer decides nothing."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Program
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import OWN_OPS, Pairs
 from servogen.plan.module import Kernel, Prepare
 from servogen.render.literals import literal
+
+_PIVOTS = {MASS_PIVOT: "pivots of Q", MASS_SCALE: "pivots of Q"}
 
 _STRUCT = {"model": "model", "input": "in", "parameter": "params"}
 
@@ -24,11 +28,13 @@ class Piece:
 def statements(code: Kernel | Prepare, scalar: str, own: str = "") -> tuple[list[str], dict[str, list[str]]]:
     """(declarations of temporaries t0.. in order, output name -> its entries as C expressions).
 
-    own: the prefix of the package's own sin, cos and sqrt; "": those of <math.h>.
+    In a kernel a comment line says which outputs the temporaries below it lead to. own: the prefix of the package's own
+    sin, cos and sqrt; "": those of <math.h>.
     """
     program = code.program
-    printer = _Printer(program, scalar, own, code.pairs)
-    lines = [line for k in range(len(program.instrs)) if (line := printer.line(k))]
+    # of prepare's temporaries most lead to many fields of the model: a list of them would tell nothing
+    printer = _Printer(program, scalar, own, code.pairs, told=isinstance(code, Kernel))
+    lines = list(printer.lines(0, len(program.instrs)))
     return lines, {o.name: [printer.text[n] for n in o.nodes] for o in program.outputs}
 
 
@@ -38,7 +44,7 @@ def pieces(program: Program, chunks: Chunks, scalar: str, own: str = "") -> tupl
     found = []
     for chunk in chunks.pieces:
         lines = [f"const {printer.real} {printer.text[k]} = live[{slot}];" for k, slot in chunk.loads]
-        lines += [line for k in range(chunk.start, chunk.stop) if (line := printer.line(k))]
+        lines += printer.lines(chunk.start, chunk.stop)
         lines += [f"live[{slot}] = {printer.text[k]};" for k, slot in chunk.stores]
         text = "\n".join(lines)
         found.append(Piece(tuple(lines), frozenset(s for s in _STRUCT.values() if f"{s}->" in text)))
@@ -56,13 +62,24 @@ def reads(program: Program, kind: str) -> bool:
 class _Printer:
     """Instructions as C, in order; `text` is what stands for each."""
 
-    def __init__(self, program: Program, scalar: str, own: str, pairs: Pairs) -> None:
+    def __init__(self, program: Program, scalar: str, own: str, pairs: Pairs, told: bool = True) -> None:
         self.program, self.scalar, self.own = program, scalar, own
         self.real, self.suffix = ("double", "") if scalar == "float64" else ("float", "f")
         self.sizes = {i.name: (_STRUCT[i.kind], i.size) for i in program.inputs}
         self.partner = {a: b for s, c in pairs for a, b in ((s, c), (c, s))}
         self.text: list[str] = []
         self.count = 0
+        self.towards = _towards(program) if told else [()] * len(program.instrs)
+
+    def lines(self, start: int, stop: int) -> Iterator[str]:
+        """The declarations of instructions start..stop - 1, a comment before each group that leads to other outputs."""
+        group: tuple[str, ...] = ()
+        for k in range(start, stop):
+            if line := self.line(k):
+                if self.towards[k] != group:
+                    group = self.towards[k]
+                    yield f"/* towards {', '.join(group)} */"
+                yield line
 
     def line(self, k: int) -> str:
         """The declaration of instruction k; empty for what is written where it is used."""
@@ -95,6 +112,19 @@ class _Printer:
         """What stands for an instruction, its operand's text taken as it is now."""
         instr = self.program.instrs[k]
         return _negated(self.expression(instr.args[0])) if instr.op == "neg" else self.text[k]
+
+
+def _towards(program: Program) -> list[tuple[str, ...]]:
+    """By instruction, the names of the outputs that depend on it; the two outputs that judge Q go as its pivots."""
+    found: list[set[int]] = [set() for _ in program.instrs]
+    names = list(dict.fromkeys(_PIVOTS.get(o.name, o.name) for o in program.outputs))
+    for o in program.outputs:
+        for n in o.nodes:
+            found[n].add(names.index(_PIVOTS.get(o.name, o.name)))
+    for k in reversed(range(len(program.instrs))):
+        for a in program.instrs[k].args:
+            found[a] |= found[k]
+    return [tuple(names[i] for i in sorted(outputs)) for outputs in found]
 
 
 def _negated(operand: str) -> str:

@@ -26,7 +26,8 @@ from servogen.law.steps import (
 )
 from servogen.plan.known import known_operations
 from servogen.plan.module import Kernel, Module, cost_of
-from servogen.plan.solver import BITS, solver_context, solver_operations
+from servogen.plan.solver import BITS, PLAIN, solver_context, solver_operations
+from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
@@ -71,8 +72,8 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
     context = _context(module)
     kind = "package" if module.law.routines else "plant"
     files = [
-        SourceFile(f"{prefix}.h", templates.get_template(f"{kind}.h.j2").render(context)),
-        SourceFile(f"{prefix}.c", without_unused(templates.get_template(f"{kind}.c.j2").render(context))),
+        SourceFile(f"{prefix}.h", folded(templates.get_template(f"{kind}.h.j2").render(context))),
+        SourceFile(f"{prefix}.c", folded(without_unused(templates.get_template(f"{kind}.c.j2").render(context)))),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
     if casadi_abi:
@@ -116,6 +117,9 @@ def _context(module: Module) -> dict[str, Any]:
             "info_type": f"{module.target.prefix}_info",
             "in_prepare": module.known.kernel if module.known else None,
             "free": module.free,
+            "named": _named(module),
+            "solved": _solved_by(module, SYSTEM),
+            "solved_by": partial(_solved_by, module),
         }
     )
 
@@ -153,6 +157,20 @@ def _printed_once(law: Law) -> dict[str, list[Step]]:
         found[routine.name] = [s for s in routine.steps if _word(s) in _WITH_FUNCTIONS - told]
         told |= {_word(s) for s in routine.steps}
     return found
+
+
+def _named(module: Module) -> dict[str, str]:
+    """The names of the equation that `info` is about, for comments."""
+    if module.system is None:
+        return PLAIN
+    return {"matrix": module.system.matrix, "right": module.system.right, "unknown": module.system.symbol}
+
+
+def _solved_by(module: Module, solver: str) -> dict[str, str]:
+    """What a solver's S, z and tau are in the scene; the reaction's is not the scene's system."""
+    if solver != SYSTEM:
+        return {"matrix": "J Q^-1 J^T", "right": "its right side", "unknown": "the force of the constraints"}
+    return _named(module)
 
 
 def _shim(module: Module) -> dict[str, Any]:

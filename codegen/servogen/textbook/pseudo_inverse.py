@@ -168,4 +168,4 @@ def _info(status: Status, rank: int, S: FloatArray, residual: float, policy: Pol
 
 
 def _failed(status: Status) -> Info:
-    return Info(status, Path.PRECOMPUTED, 0, 0, 0.0, 0.0)
+    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)

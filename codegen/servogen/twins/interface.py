@@ -169,7 +169,7 @@ class Twin(ABC):
 
 def refusal(status: Status) -> Info:
     """Info of a negative status."""
-    return Info(status, Path.PRECOMPUTED, 0, 0, 0.0, 0.0)
+    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)
 
 
 def finite(values: Any) -> bool:

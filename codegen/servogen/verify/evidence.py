@@ -131,7 +131,9 @@ def coverage(
         libraries: dict[Path, ctypes.CDLL] = {}
 
         def make(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
-            package = build_solver(m, l, folder / f"{m}x{l}-{scalar}-{abs(hash(solver))}", scalar, solver=solver)
+            # one prefix for all, so that a line breaks in the same place whatever the shape
+            where = folder / f"{m}x{l}-{scalar}-{abs(hash(solver))}"
+            package = build_solver(m, l, where, scalar, solver=solver, prefix="pinv")
             source = package.path / f"{package.prefix}.c"
             library = package.path / "covered.so"
             if source not in libraries:

@@ -1,7 +1,8 @@
 """The loops of generated C, and how often each may turn: read from the source, where every limit is written.
 
 Generated loops are of few forms: they count up to a number or a dimension, or down to zero. A limit that is a variable
-is one of the dimensions in `sizes`, or a function's argument that every call gives as a number.
+is one of the dimensions in `sizes`, or a function's argument that every call gives as a number. A limit may have a name
+that #define gives to a number.
 """
 
 import re
@@ -31,7 +32,9 @@ def loops_of(text: str, sizes: Mapping[str, int]) -> tuple[Loop, ...]:
 
     Raises LoopUnboundedError for a loop without a limit known.
     """
-    lines = re.sub(r"/\*.*?\*/", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL).splitlines()
+    text = re.sub(r"/\*.*?\*/", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL)
+    named = dict(re.findall(r"^#define (\w+) (\d+) *$", text, re.MULTILINE))
+    lines = re.sub(r"\w+", lambda m: named.get(m[0], m[0]), text).splitlines()
     found: list[Loop] = []
     for number, line in enumerate(lines, start=1):
         if head := _LOOP.match(line):

@@ -11,22 +11,61 @@
 #error "build double_pendulum_energy.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_NOINLINE
+#define DOUBLE_PENDULUM_ENERGY_COLD
+#define DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_ENERGY_FRACTION_BITS 52
+#define DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS 1023
+#define DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_ENERGY_NO_EXPONENT (-16384)
+#define DOUBLE_PENDULUM_ENERGY_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_ENERGY_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_ENERGY_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 1 x 2, row-major: one row s, s^T / (s s^T) ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_ENERGY_CONSISTENCY 3.552713678800501e-15
+/* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define DOUBLE_PENDULUM_ENERGY_SQUARE_LOW 1534
+#define DOUBLE_PENDULUM_ENERGY_TASK_LOW 511 /* lowest exponent of the task z - s y for the short form */
+#define DOUBLE_PENDULUM_ENERGY_TASK_HIGH 1534 /* highest exponent of a step of refinement */
+#define DOUBLE_PENDULUM_ENERGY_SPAN 1023 /* from either lowest to the highest: a power of two less one */
+#define DOUBLE_PENDULUM_ENERGY_TAU_LOW 263 /* exponents of the square of tau that can be multiplied by s s^T */
+#define DOUBLE_PENDULUM_ENERGY_TAU_HIGH 1783
+/* 16 eps: rounding errors of y in the task, over the task */
+#define DOUBLE_PENDULUM_ENERGY_NOISE 3.552713678800501e-15
+
+typedef union double_pendulum_energy_word {
     double value;
     uint64_t bits;
 } double_pendulum_energy_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t double_pendulum_energy_magnitude(double x)
 {
     double_pendulum_energy_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & DOUBLE_PENDULUM_ENERGY_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t double_pendulum_energy_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +104,18 @@ static double double_pendulum_energy_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -DOUBLE_PENDULUM_ENERGY_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS) - DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL - 1u)) | DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +123,8 @@ static double double_pendulum_energy_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_ENERGY_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +148,13 @@ static int double_pendulum_energy_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_energy_word word;
     const uint64_t magnitude = double_pendulum_energy_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_ENERGY_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +163,14 @@ static int double_pendulum_energy_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +222,8 @@ static void double_pendulum_energy_reduce_close(double x, double k, double *hi, 
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_energy_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = double_pendulum_energy_magnitude(x);
@@ -203,7 +247,8 @@ static inline int double_pendulum_energy_reduce(double x, double *hi, double *lo
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (double_pendulum_energy_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS)
+                > (double_pendulum_energy_magnitude(*hi) >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             double_pendulum_energy_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,14 +265,16 @@ static inline int double_pendulum_energy_reduce(double x, double *hi, double *lo
 static double double_pendulum_energy_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double double_pendulum_energy_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
@@ -243,98 +290,88 @@ static double double_pendulum_energy_cos(double x)
 }
 
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_ENERGY_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_COLD
-#define DOUBLE_PENDULUM_ENERGY_SMALL
-#endif
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN to DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX, by writing its
+   exponent. */
 static double double_pendulum_energy_power(int k)
 {
     double_pendulum_energy_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS) << DOUBLE_PENDULUM_ENERGY_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double double_pendulum_energy_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN && k <= DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX) {
         return x * double_pendulum_energy_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= double_pendulum_energy_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_energy_power(DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_energy_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_energy_power(DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN + DOUBLE_PENDULUM_ENERGY_FRACTION_BITS
+            + 1);
+        k -= DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN + DOUBLE_PENDULUM_ENERGY_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_ENERGY_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_ENERGY_EXPONENT_MIN;
     }
     return x * double_pendulum_energy_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; DOUBLE_PENDULUM_ENERGY_NO_EXPONENT for
+   zero. */
 static int double_pendulum_energy_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_ENERGY_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_ENERGY_SMALLEST_NORMAL) {
         double_pendulum_energy_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_energy_magnitude(word.value * double_pendulum_energy_power(64));
-        lift = 64;
+        magnitude = double_pendulum_energy_magnitude(word.value
+            * double_pendulum_energy_power(DOUBLE_PENDULUM_ENERGY_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_ENERGY_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS) - DOUBLE_PENDULUM_ENERGY_EXPONENT_BIAS - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t double_pendulum_energy_biased(double x)
 {
     double_pendulum_energy_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_ENERGY_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t double_pendulum_energy_biased_square(double square)
 {
     double_pendulum_energy_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> DOUBLE_PENDULUM_ENERGY_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_energy_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_energy_refuse(int status, double_pendulum_energy_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_ENERGY_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -343,17 +380,19 @@ static int double_pendulum_energy_refuse(int status, double_pendulum_energy_info
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 3.55e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_ENERGY_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_energy_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int double_pendulum_energy_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = double_pendulum_energy_exponent(double_pendulum_energy_largest(tau, 2));
     double t[2], rest[1];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[1];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_ENERGY_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -361,9 +400,9 @@ static int double_pendulum_energy_consistent(const double *S, const double *z, c
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : double_pendulum_energy_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT ? 0.0 : double_pendulum_energy_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT) {
             const double yj = double_pendulum_energy_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -373,17 +412,19 @@ static int double_pendulum_energy_consistent(const double *S, const double *z, c
         const double *const row = S + 2 * i;
         const int row_unit = double_pendulum_energy_exponent(double_pendulum_energy_largest(row, 2));
         const int z_unit = double_pendulum_energy_exponent(double_pendulum_energy_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT
+            ? DOUBLE_PENDULUM_ENERGY_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const double s = double_pendulum_energy_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -393,36 +434,39 @@ static int double_pendulum_energy_consistent(const double *S, const double *z, c
         }
         target = double_pendulum_energy_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 3.552713678800501e-15 * (scale * double_pendulum_energy_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = DOUBLE_PENDULUM_ENERGY_CONSISTENCY
+            * (scale * double_pendulum_energy_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT) {
             rest[i] = double_pendulum_energy_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : double_pendulum_energy_shift(double_pendulum_energy_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT
+        ? 0.0 : double_pendulum_energy_shift(double_pendulum_energy_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct double_pendulum_energy_scaled_row {
     double s[2];
-    double square; /* s s^T */
+    double square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } double_pendulum_energy_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
 static int double_pendulum_energy_scale_row(const double *S, double_pendulum_energy_scaled_row *row)
 {
     double_pendulum_energy_word word;
     int j;
     word.bits = double_pendulum_energy_largest(S, 2);
-    if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (word.bits >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0;
@@ -434,17 +478,19 @@ static int double_pendulum_energy_scale_row(const double *S, double_pendulum_ene
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
 static double double_pendulum_energy_over_square(const double_pendulum_energy_scaled_row *row, double a)
 {
     return a / row->square;
 }
 
-static void double_pendulum_energy_fill_info(const double *S, int status, int rank, double residual, double_pendulum_energy_info *info)
+static void double_pendulum_energy_fill_info(const double *S, int status, int rank, double residual,
+    double_pendulum_energy_info *info)
 {
     const uint64_t magnitude = double_pendulum_energy_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_exponent(magnitude);
-    const double square = double_pendulum_energy_shift(S[0], -unit) * double_pendulum_energy_shift(S[0], -unit) + double_pendulum_energy_shift(S[1], -unit) * double_pendulum_energy_shift(S[1], -unit);
+    const double square = double_pendulum_energy_shift(S[0], -unit) * double_pendulum_energy_shift(S[0], -unit)
+        + double_pendulum_energy_shift(S[1], -unit) * double_pendulum_energy_shift(S[1], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -453,29 +499,37 @@ static void double_pendulum_energy_fill_info(const double *S, int status, int ra
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
+/* tau = y + s^T rest / (s s^T) with rest = target - s y. Where rest is larger than target, y points along the row and
+   most of that part is taken away again. What is left is small, but carries the rounding errors of y, which is large;
+   it takes one refinement to remove them. (Exponents are compared, which is enough and quicker.) */
 static int double_pendulum_energy_cancels(double rest, double target)
 {
     return double_pendulum_energy_biased(rest) > double_pendulum_energy_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+/* Whether rest is so much larger than target (2^48 times) that the rounding errors of s y, up to 16 eps |rest|, may be
+   as large as the target itself. */
 static int double_pendulum_energy_drowned(double rest, double target)
 {
-    return double_pendulum_energy_biased(rest) >= double_pendulum_energy_biased(target) + 48;
+    return double_pendulum_energy_biased(rest)
+        >= double_pendulum_energy_biased(target) + DOUBLE_PENDULUM_ENERGY_FRACTION_BITS - 4;
 }
 
-/* Whether they may be all that tau is, too: then one more. */
+/* Whether tau, too, may be nothing but such errors: |s| |tau| is no larger than they are. Then a second refinement is
+   due, which shows whether it is. Written so that a NaN answers yes. */
 static int double_pendulum_energy_exhausted(double square, double tau_square, double rest)
 {
-    const double noise = rest * 3.552713678800501e-15;
+    const double noise = rest * DOUBLE_PENDULUM_ENERGY_NOISE;
     return !(square * tau_square > noise * noise);
 }
 
-/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
-static double double_pendulum_energy_refine_row(const double_pendulum_energy_scaled_row *row, double target, int unit, double *answer)
+/* One refinement: what the answer leaves of the task is solved for and added, answer += s^T (target - s answer) / (s
+   s^T). answer is as it is, target in units of 2^(unit + row->unit). Returns the factor of s^T, in units of 2^unit. */
+static double double_pendulum_energy_refine_row(const double_pendulum_energy_scaled_row *row, double target, int unit,
+    double *answer)
 {
-    const double rest = target - (row->s[0] * double_pendulum_energy_shift(answer[0], -unit) + row->s[1] * double_pendulum_energy_shift(answer[1], -unit));
+    const double rest = target - (row->s[0] * double_pendulum_energy_shift(answer[0], -unit)
+        + row->s[1] * double_pendulum_energy_shift(answer[1], -unit));
     const double scale = rest * (1.0 / row->square);
     int j;
     for (j = 0; j < 2; ++j) {
@@ -484,8 +538,11 @@ static double double_pendulum_energy_refine_row(const double_pendulum_energy_sca
     return scale;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const double *S, const double *z,
+    const double *y, double *tau, double_pendulum_energy_info *info)
 {
     double_pendulum_energy_scaled_row row;
     double answer[2];
@@ -493,35 +550,41 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
     double rest, target, scale;
     double t_0, t_1;
     int refine, apart;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_ENERGY_NO_EXPONENT;
     int status = DOUBLE_PENDULUM_ENERGY_OK;
     int own, j;
-    if (!double_pendulum_energy_scale_row(S, &row) || double_pendulum_energy_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
-        (y != NULL && double_pendulum_energy_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
+    if (!double_pendulum_energy_scale_row(S, &row)
+            || double_pendulum_energy_magnitude(z[0]) >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS ||
+        (y != NULL && double_pendulum_energy_largest(y, 2) >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS)) {
         return double_pendulum_energy_refuse(DOUBLE_PENDULUM_ENERGY_NONFINITE, info);
     }
     if (y != NULL) {
         unit = double_pendulum_energy_exponent(double_pendulum_energy_largest(y, 2));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = double_pendulum_energy_exponent(double_pendulum_energy_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_ENERGY_NO_EXPONENT) {
         unit = 0;
     }
     target = double_pendulum_energy_shift(z[0], -unit - row.unit);
-    /* too small for the unit of y: what is z's is added in its own */
-    apart = row.rank && own != -16384 && double_pendulum_energy_biased(target) < 60;
+    /* beside a huge y, z would lose bits in the unit of y: then it is left out here, and its part of the answer is
+       added at the end, in a unit of its own */
+    apart = row.rank && own != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT
+        && double_pendulum_energy_biased(target) < DOUBLE_PENDULUM_ENERGY_FRACTION_BITS + 8;
     if (apart) {
         target = 0.0;
     }
     rest = target;
     if (y != NULL) {
-        rest -= row.s[0] * double_pendulum_energy_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_shift(y[1], -unit);
+        rest -= row.s[0] * double_pendulum_energy_shift(y[0], -unit)
+            + row.s[1] * double_pendulum_energy_shift(y[1], -unit);
     }
     refine = y != NULL && row.rank && double_pendulum_energy_cancels(rest, target);
-    /* what is refined takes the reciprocal twice, as in the short form */
+    /* where a refinement follows, the reciprocal is taken once and used twice, as in the short form: for the same
+       bits */
     scale = refine ? rest * (1.0 / row.square) : row.rank ? double_pendulum_energy_over_square(&row, rest) : 0.0;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_shift(row.s[j] * scale, unit);
@@ -533,14 +596,17 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
         (void)double_pendulum_energy_refine_row(&row, target, unit, answer);
         t_0 = double_pendulum_energy_shift(answer[0], -unit);
         t_1 = double_pendulum_energy_shift(answer[1], -unit);
-        if (double_pendulum_energy_drowned(rest, target) && double_pendulum_energy_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
+        if (double_pendulum_energy_drowned(rest, target)
+                && double_pendulum_energy_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
             const double more = double_pendulum_energy_refine_row(&row, target, unit, answer);
-            if (double_pendulum_energy_magnitude(double_pendulum_energy_shift(4.0 * more, unit)) > double_pendulum_energy_largest(answer, 2)) {
-                /* rounding errors twice over: nothing of y is left */
+            if (double_pendulum_energy_magnitude(double_pendulum_energy_shift(4.0 * more, unit))
+                    > double_pendulum_energy_largest(answer, 2)) {
+                /* the second refinement still moved tau by a quarter of its size: what was left of y is rounding
+                   errors and nothing else, so it is dropped */
                 for (j = 0; j < 2; ++j) {
                     answer[j] = 0.0;
                 }
-                apart = own != -16384;
+                apart = own != DOUBLE_PENDULUM_ENERGY_NO_EXPONENT;
             }
         }
     }
@@ -550,13 +616,14 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
             answer[j] += double_pendulum_energy_shift(row.s[j] * scale, own - row.unit);
         }
     }
-    if (double_pendulum_energy_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_energy_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS) {
         return double_pendulum_energy_refuse(DOUBLE_PENDULUM_ENERGY_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
         const int met = double_pendulum_energy_consistent(S, z, y, answer, &residual);
         if (!row.rank) {
-            status = met ? DOUBLE_PENDULUM_ENERGY_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_ENERGY_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_ENERGY_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -568,7 +635,9 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_scaled(const
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv, double_pendulum_energy_info *info)
+/* S+ = s^T / (s s^T), scaled, where the short form does not apply. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_pinv_scaled(const double *S, double *S_pinv,
+    double_pendulum_energy_info *info)
 {
     double_pendulum_energy_scaled_row row;
     double answer[2];
@@ -577,9 +646,10 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_pinv_scaled(const 
         return double_pendulum_energy_refuse(DOUBLE_PENDULUM_ENERGY_NONFINITE, info);
     }
     for (j = 0; j < 2; ++j) {
-        answer[j] = row.rank ? double_pendulum_energy_shift(double_pendulum_energy_over_square(&row, row.s[j]), -row.unit) : 0.0;
+        answer[j] = row.rank ? double_pendulum_energy_shift(double_pendulum_energy_over_square(&row, row.s[j]),
+            -row.unit) : 0.0;
     }
-    if (double_pendulum_energy_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_energy_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_INFINITY_BITS) {
         return double_pendulum_energy_refuse(DOUBLE_PENDULUM_ENERGY_OVERFLOW, info);
     }
     status = row.rank ? DOUBLE_PENDULUM_ENERGY_OK : DOUBLE_PENDULUM_ENERGY_RANK_DEFICIENT_CONSISTENT;
@@ -592,17 +662,22 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_pinv_scaled(const 
     return status;
 }
 
-/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to DOUBLE_PENDULUM_ENERGY_SPAN where it fits,
+   more where it is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN and infinity
+   never fit. The exponent is taken with one bit of the fraction, so that the range of squares has as many steps as
+   that of tasks. Both spans are then the same power of two less one, and the two answers, joined by |, need one
+   comparison. */
 static uint64_t double_pendulum_energy_outside(double square)
 {
     double_pendulum_energy_word word;
     word.value = square;
-    word.bits >>= 51;
-    return word.bits - 1534;
+    word.bits >>= DOUBLE_PENDULUM_ENERGY_FRACTION_BITS - 1;
+    return word.bits - DOUBLE_PENDULUM_ENERGY_SQUARE_LOW;
 }
 
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_short_info(double square, double residual, double_pendulum_energy_info *info)
+/* Fills *info for the short form, which is taken at full rank only. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_short_info(double square, double residual,
+    double_pendulum_energy_info *info)
 {
     info->status = DOUBLE_PENDULUM_ENERGY_OK;
     info->path = DOUBLE_PENDULUM_ENERGY_PATH_CLOSED_FORM;
@@ -613,17 +688,23 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_short_info(double 
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_values(double s_0, double s_1, double target, double *tau, double_pendulum_energy_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_solve_values(double s_0, double s_1, double target,
+    double *tau, double_pendulum_energy_info *info)
 {
     const double S[2] = {s_0, s_1};
     return double_pendulum_energy_solve_scaled(S, &target, NULL, tau, info);
 }
 
-/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
-static DOUBLE_PENDULUM_ENERGY_APART int double_pendulum_energy_solve_refined(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info, double square, double rest)
+/* tau = y + s^T rest / (s s^T), rest = target - s y, and one refinement, where y cancels and leaves its rounding
+   errors. What does not fit its ranges, or needs a second refinement, goes to the scaled form. */
+static DOUBLE_PENDULUM_ENERGY_NOINLINE int double_pendulum_energy_solve_refined(const double *S, const double *z,
+    const double *y, double *tau, double_pendulum_energy_info *info, double square, double rest)
 {
-    if ((double_pendulum_energy_outside(square) | (double_pendulum_energy_biased(rest) - 511)) <= 1023) {
+    if ((double_pendulum_energy_outside(square)
+            | (double_pendulum_energy_biased(rest) - DOUBLE_PENDULUM_ENERGY_TASK_LOW))
+            <= DOUBLE_PENDULUM_ENERGY_SPAN) {
         const double s_0 = S[0];
         const double s_1 = S[1];
         const double target = z[0];
@@ -636,10 +717,12 @@ static DOUBLE_PENDULUM_ENERGY_APART int double_pendulum_energy_solve_refined(con
         t_0 += s_0 * more;
         t_1 += s_1 * more;
         tau_square = t_0 * t_0 + t_1 * t_1;
-        /* a larger step could carry tau out of range */
-        if (double_pendulum_energy_biased(more) <= 1534 &&
+        /* a larger step could carry tau out of the range of the type */
+        if (double_pendulum_energy_biased(more) <= DOUBLE_PENDULUM_ENERGY_TASK_HIGH &&
             (!double_pendulum_energy_drowned(rest, target) ||
-             (double_pendulum_energy_within(double_pendulum_energy_biased_square(tau_square), 263, 1783) && !double_pendulum_energy_exhausted(square, tau_square, rest)))) {
+             (double_pendulum_energy_within(double_pendulum_energy_biased_square(tau_square),
+                 DOUBLE_PENDULUM_ENERGY_TAU_LOW, DOUBLE_PENDULUM_ENERGY_TAU_HIGH)
+                 && !double_pendulum_energy_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             if (info != NULL) {
@@ -651,7 +734,8 @@ static DOUBLE_PENDULUM_ENERGY_APART int double_pendulum_energy_solve_refined(con
     return double_pendulum_energy_solve_scaled(S, z, y, tau, info);
 }
 
-static DOUBLE_PENDULUM_ENERGY_SMALL int double_pendulum_energy_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_info *info)
+static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE int double_pendulum_energy_solve_core(const double *S, const double *z,
+    const double *y, double *tau, double_pendulum_energy_info *info)
 {
     const double s_0 = S[0];
     const double s_1 = S[1];
@@ -662,8 +746,10 @@ static DOUBLE_PENDULUM_ENERGY_SMALL int double_pendulum_energy_solve_core(const 
         const double y_1 = y[1];
         const double rest = target - (s_0 * y_0 + s_1 * y_1);
         const uint64_t size = double_pendulum_energy_biased(rest);
-        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
-        if ((double_pendulum_energy_outside(square) | (size - 511) | (double_pendulum_energy_biased(target) - size)) > 1023) {
+        /* each of the three differences is unsigned: what is out of its range, and a rest larger than the target, for
+           which y cancels, sets bits above those of the span */
+        if ((double_pendulum_energy_outside(square) | (size - DOUBLE_PENDULUM_ENERGY_TASK_LOW)
+                | (double_pendulum_energy_biased(target) - size)) > DOUBLE_PENDULUM_ENERGY_SPAN) {
             return double_pendulum_energy_solve_refined(S, z, y, tau, info, square, rest);
         }
         const double scale = rest / square;
@@ -676,7 +762,9 @@ static DOUBLE_PENDULUM_ENERGY_SMALL int double_pendulum_energy_solve_core(const 
         }
         return DOUBLE_PENDULUM_ENERGY_OK;
     }
-    if ((double_pendulum_energy_outside(square) | (double_pendulum_energy_biased(target) - 511)) <= 1023) {
+    if ((double_pendulum_energy_outside(square)
+            | (double_pendulum_energy_biased(target) - DOUBLE_PENDULUM_ENERGY_TASK_LOW))
+            <= DOUBLE_PENDULUM_ENERGY_SPAN) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         const double t_1 = s_1 * scale;
@@ -694,7 +782,7 @@ static int double_pendulum_energy_pinv_core(const double *S, double *S_pinv, dou
 {
     const double square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_outside(square) <= 1023) {
+    if (double_pendulum_energy_outside(square) <= DOUBLE_PENDULUM_ENERGY_SPAN) {
         if (info != NULL) {
             (void)double_pendulum_energy_short_info(square, 0.0, info);
         }
@@ -706,7 +794,7 @@ static int double_pendulum_energy_pinv_core(const double *S, double *S_pinv, dou
     return double_pendulum_energy_pinv_scaled(S, S_pinv, info);
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_energy_copy(const double *from, double *to, int n)
 {
     int k;
@@ -717,10 +805,11 @@ static void double_pendulum_energy_copy(const double *from, double *to, int n)
 
 static int double_pendulum_energy_finite(const double *x, int n)
 {
-    return double_pendulum_energy_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return double_pendulum_energy_largest(x, n) < DOUBLE_PENDULUM_ENERGY_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_ENERGY_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots
+   come in the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int double_pendulum_energy_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -735,7 +824,7 @@ static int double_pendulum_energy_mass_status(const double *pivot, const double 
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_energy_input_finite(const double_pendulum_energy_input *in)
 {
     return double_pendulum_energy_finite(in->q, 2)
@@ -743,8 +832,10 @@ static int double_pendulum_energy_input_finite(const double_pendulum_energy_inpu
            && double_pendulum_energy_finite(&in->E_0, 1);
 }
 
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(int status, const double_pendulum_energy_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(int status,
+    const double_pendulum_energy_input *in)
 {
     if (!double_pendulum_energy_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_NONFINITE;
@@ -752,8 +843,10 @@ static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_reason(int status,
     return status == DOUBLE_PENDULUM_ENERGY_NONFINITE ? DOUBLE_PENDULUM_ENERGY_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
+static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_psi(
+    const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
 {
+    /* towards psi */
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);
     const double t2 = model->c0 * t1;
@@ -777,9 +870,11 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_psi(const d
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
+static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S(
+    const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
     (void)model;
+    /* towards S */
     const double t0 = in->u[1] - in->u[0];
     /* S = psi_u Q^-1 G, Eq. (8) */
     S[0] = in->u[0];
@@ -787,8 +882,10 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S(const dou
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
+static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_z(
+    const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
 {
+    /* towards z */
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);
     const double t2 = model->c0 * t1;
@@ -812,8 +909,10 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_z(const dou
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
+static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S_z(
+    const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
 {
+    /* towards z */
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_cos(t0);
     const double t2 = model->c0 * t1;
@@ -832,6 +931,7 @@ static DOUBLE_PENDULUM_ENERGY_SMALL void double_pendulum_energy_eval_S_z(const d
     const double t15 = t12 - t14;
     const double t16 = t15 - in->E_0;
     const double t17 = t6 + t16;
+    /* towards S */
     const double t18 = in->u[1] - in->u[0];
     /* S = psi_u Q^-1 G, Eq. (8) */
     S[0] = in->u[0];
@@ -915,7 +1015,8 @@ int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, 
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-int double_pendulum_energy_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *psi)
+int double_pendulum_energy_psi(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in,
+    double *psi)
 {
     double new_psi[1];
     double_pendulum_energy_eval_psi(model, in, new_psi);
@@ -926,7 +1027,8 @@ int double_pendulum_energy_psi(const double_pendulum_energy_model *model, const 
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-int double_pendulum_energy_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
+int double_pendulum_energy_S(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in,
+    double *S)
 {
     double new_S[2];
     if (!(double_pendulum_energy_finite(in->q, 2) && double_pendulum_energy_finite(&in->E_0, 1))) {
@@ -940,7 +1042,8 @@ int double_pendulum_energy_S(const double_pendulum_energy_model *model, const do
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-int double_pendulum_energy_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
+int double_pendulum_energy_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in,
+    double *z)
 {
     double new_z[1];
     double_pendulum_energy_eval_z(model, in, new_z);
@@ -951,7 +1054,8 @@ int double_pendulum_energy_z(const double_pendulum_energy_model *model, const do
     return DOUBLE_PENDULUM_ENERGY_OK;
 }
 
-int double_pendulum_energy_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
+int double_pendulum_energy_S_z(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in,
+    double *S, double *z)
 {
     double new_S[2];
     double new_z[1];
@@ -974,7 +1078,8 @@ const double_pendulum_energy_params double_pendulum_energy_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_failed(int status, const double_pendulum_energy_input *in, double_pendulum_energy_info *info)
+static DOUBLE_PENDULUM_ENERGY_COLD int double_pendulum_energy_failed(int status,
+    const double_pendulum_energy_input *in, double_pendulum_energy_info *info)
 {
     return double_pendulum_energy_refuse(double_pendulum_energy_reason(status, in), info);
 }
@@ -984,7 +1089,8 @@ int double_pendulum_energy_pinv(const double *S, double *S_pinv, double_pendulum
     return double_pendulum_energy_pinv_core(S, S_pinv, info);
 }
 
-int double_pendulum_energy_control(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *tau, double_pendulum_energy_info *info)
+int double_pendulum_energy_control(const double_pendulum_energy_model *model, const double_pendulum_energy_input *in,
+    double *tau, double_pendulum_energy_info *info)
 {
     double S[2], z[1];
     int status;

@@ -11,22 +11,72 @@
 #error "build double_pendulum_energy_and_path_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS 23
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS 127
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT (-16384)
+/* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SUBNORMAL_LIFT 32
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_CONSISTENCY 1.9073486e-6f
+/* sqrt(2): a row within its atol is no longer than this times atol */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ROOT_L 1.4142135f
+/* singular values at or below this part of the largest count as zero */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RTOL 2.3841858e-7f
+/* exponents of row 0's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_LOW_0 87
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_HIGH_0 167
+/* exponents of row 1's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_LOW_1 90
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_HIGH_1 167
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NORMAL_LIMIT 41285.094f
+/* up to this bound times |B|^2 the QR needs no SVD */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_QR_LIMIT 615726500000.0f
+/* below this the square of a pivot counts as zero */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_SQUARE 7.70372e-34f
+typedef union double_pendulum_energy_and_path_f32_word {
     float value;
     uint32_t bits;
 } double_pendulum_energy_and_path_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t double_pendulum_energy_and_path_f32_magnitude(float x)
 {
     double_pendulum_energy_and_path_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t double_pendulum_energy_and_path_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +115,20 @@ static float double_pendulum_energy_and_path_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL - 1u))
+        | DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +136,8 @@ static float double_pendulum_energy_and_path_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +157,13 @@ static int double_pendulum_energy_and_path_f32_reduce_far(float x, float *hi, fl
     float a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_energy_and_path_f32_word word;
     const uint32_t magnitude = double_pendulum_energy_and_path_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +206,8 @@ static int double_pendulum_energy_and_path_f32_reduce_far(float x, float *hi, fl
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_energy_and_path_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = double_pendulum_energy_and_path_f32_magnitude(x);
@@ -169,7 +224,8 @@ static inline int double_pendulum_energy_and_path_f32_reduce(float x, float *hi,
         return quadrant;
     }
     {
-        double_pendulum_energy_and_path_f32_word nearest; /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        double_pendulum_energy_and_path_f32_word nearest;
         float k, head, tail;
         nearest.value = x * 0.63661975f + 12582912.0f;
         k = nearest.value - 12582912.0f;
@@ -204,7 +260,8 @@ static float double_pendulum_energy_and_path_f32_sin(float x)
 {
     float hi, lo, value;
     const int quadrant = double_pendulum_energy_and_path_f32_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_f32_cos_near(hi, lo) : double_pendulum_energy_and_path_f32_sin_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_f32_cos_near(hi, lo)
+        : double_pendulum_energy_and_path_f32_sin_near(hi, lo);
     return (quadrant & 2) != 0 ? -value : value;
 }
 
@@ -213,11 +270,12 @@ static float double_pendulum_energy_and_path_f32_cos(float x)
 {
     float hi, lo, value;
     const int quadrant = double_pendulum_energy_and_path_f32_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_f32_sin_near(hi, lo) : double_pendulum_energy_and_path_f32_cos_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_f32_sin_near(hi, lo)
+        : double_pendulum_energy_and_path_f32_cos_near(hi, lo);
     return ((quadrant + 1) & 2) != 0 ? -value : value;
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_f32_pair {
     float sin, cos;
 } double_pendulum_energy_and_path_f32_pair;
 
@@ -244,59 +302,62 @@ static double_pendulum_energy_and_path_f32_pair double_pendulum_energy_and_path_
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN to
+   DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX, by writing its exponent. */
 static float double_pendulum_energy_and_path_f32_power(int k)
 {
     double_pendulum_energy_and_path_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits =
+        (uint32_t)(k
+        + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS) << DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float double_pendulum_energy_and_path_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN
+            && k <= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX) {
         return x * double_pendulum_energy_and_path_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= double_pendulum_energy_and_path_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_energy_and_path_f32_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_energy_and_path_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_energy_and_path_f32_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN
+            + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN;
     }
     return x * double_pendulum_energy_and_path_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|;
+   DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT for zero. */
 static int double_pendulum_energy_and_path_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_NORMAL) {
         double_pendulum_energy_and_path_f32_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_energy_and_path_f32_magnitude(word.value * double_pendulum_energy_and_path_f32_power(32));
-        lift = 32;
+        magnitude = double_pendulum_energy_and_path_f32_magnitude(word.value
+            * double_pendulum_energy_and_path_f32_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS - lift;
 }
 
 static float double_pendulum_energy_and_path_f32_abs(float x)
@@ -304,69 +365,73 @@ static float double_pendulum_energy_and_path_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t double_pendulum_energy_and_path_f32_biased(float x)
 {
     double_pendulum_energy_and_path_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t double_pendulum_energy_and_path_f32_biased_square(float square)
 {
     double_pendulum_energy_and_path_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_energy_and_path_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR inline __attribute__((always_inline))
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL
 #elif defined(__clang__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT /* it does so by itself */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_spread(const float *restrict v, float factor, float *restrict w)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_f32_spread(
+    const float *restrict v, float factor, float *restrict w)
 {
     int k;
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_f32_gather(
+    const float *restrict w, float *restrict v)
 {
     int k;
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR float double_pendulum_energy_and_path_f32_inner(const float *a, const float *b)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS float double_pendulum_energy_and_path_f32_inner(
+    const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
 } double_pendulum_energy_and_path_f32_normal;
@@ -374,9 +439,10 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
-static int double_pendulum_energy_and_path_f32_normal_factor(const float *B, double_pendulum_energy_and_path_f32_normal *f)
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+static int double_pendulum_energy_and_path_f32_normal_factor(const float *B,
+    double_pendulum_energy_and_path_f32_normal *f)
 {
     const float g_0_0 = double_pendulum_energy_and_path_f32_inner(B, B);
     const float g_1_1 = double_pendulum_energy_and_path_f32_inner(B + 2, B + 2);
@@ -385,25 +451,28 @@ static int double_pendulum_energy_and_path_f32_normal_factor(const float *B, dou
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!double_pendulum_energy_and_path_f32_within(double_pendulum_energy_and_path_f32_biased_square(g_0_0), 87, 167) || !double_pendulum_energy_and_path_f32_within(double_pendulum_energy_and_path_f32_biased_square(g_1_1), 90, 167)) {
+    if (!double_pendulum_energy_and_path_f32_within(double_pendulum_energy_and_path_f32_biased_square(g_0_0),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_LOW_0, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_HIGH_0)
+            || !double_pendulum_energy_and_path_f32_within(double_pendulum_energy_and_path_f32_biased_square(g_1_1),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_LOW_1, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     n_1_0 = double_pendulum_energy_and_path_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -413,7 +482,8 @@ static int double_pendulum_energy_and_path_f32_normal_factor(const float *B, dou
 }
 
 /* w = (B B^T)^-1 r. */
-static void double_pendulum_energy_and_path_f32_normal_solve(const double_pendulum_energy_and_path_f32_normal *f, const float *r, float *w)
+static void double_pendulum_energy_and_path_f32_normal_solve(const double_pendulum_energy_and_path_f32_normal *f,
+    const float *r, float *w)
 {
     const float a_0 = r[0];
     const float a_1 = r[1] - f->lower[0] * a_0;
@@ -424,15 +494,16 @@ static void double_pendulum_energy_and_path_f32_normal_solve(const double_pendul
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct double_pendulum_energy_and_path_f32_line {
     float p[2];
     float l[2];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } double_pendulum_energy_and_path_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct double_pendulum_energy_and_path_f32_qr {
     double_pendulum_energy_and_path_f32_line line[2];
     double_pendulum_energy_and_path_f32_line *at[2];
     float left[2];    /* squared length of at[k]->p */
@@ -443,7 +514,8 @@ typedef struct {
 } double_pendulum_energy_and_path_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR float double_pendulum_energy_and_path_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS float double_pendulum_energy_and_path_f32_take_out(
+    float *restrict rest, const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -480,7 +552,7 @@ static void double_pendulum_energy_and_path_f32_qr_reduce(double_pendulum_energy
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -513,8 +585,8 @@ static void double_pendulum_energy_and_path_f32_qr_factor(const float *B, double
     double_pendulum_energy_and_path_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int double_pendulum_energy_and_path_f32_qr_certified(const double_pendulum_energy_and_path_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -528,10 +600,11 @@ static int double_pendulum_energy_and_path_f32_qr_certified(const double_pendulu
     n_1_0 = double_pendulum_energy_and_path_f32_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
-    return bound * total < 615726500000.0f;
+    return bound * total < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void double_pendulum_energy_and_path_f32_triangle(float *t, int first, float *sigma)
 {
@@ -561,9 +634,10 @@ static void double_pendulum_energy_and_path_f32_triangle(float *t, int first, fl
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
-static int double_pendulum_energy_and_path_f32_svd(const double_pendulum_energy_and_path_f32_qr *f, float *left, float *sigma)
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int double_pendulum_energy_and_path_f32_svd(const double_pendulum_energy_and_path_f32_qr *f, float *left,
+    float *sigma)
 {
     int i, k;
     for (k = 0; k < 4; ++k) {
@@ -584,9 +658,9 @@ static int double_pendulum_energy_and_path_f32_svd(const double_pendulum_energy_
     return 1;
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_f32_factors {
     float B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT where a row counts as zero */
     double_pendulum_energy_and_path_f32_normal normal;
     double_pendulum_energy_and_path_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -607,9 +681,10 @@ static const float double_pendulum_energy_and_path_f32_atol[2] = {
     9.536743e-7f
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void double_pendulum_energy_and_path_f32_undo_scaling(double_pendulum_energy_and_path_f32_factors *f, int top)
 {
     float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -627,7 +702,7 @@ static void double_pendulum_energy_and_path_f32_undo_scaling(double_pendulum_ene
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0f :
+            F[2 * k + i] = exponent == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT ? 0.0f :
                 double_pendulum_energy_and_path_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -704,18 +779,21 @@ static void double_pendulum_energy_and_path_f32_undo_scaling(double_pendulum_ene
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT. */
 static void double_pendulum_energy_and_path_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 2 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
-            double_pendulum_energy_and_path_f32_spread(row, double_pendulum_energy_and_path_f32_power(-exponent[i]), B + 2 * i);
+        if (exponent[i] >= -DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MAX
+                && exponent[i] <= -DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_MIN) {
+            double_pendulum_energy_and_path_f32_spread(row, double_pendulum_energy_and_path_f32_power(-exponent[i]),
+                B + 2 * i);
         } else {
             float shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : double_pendulum_energy_and_path_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+                    ? 0.0f : double_pendulum_energy_and_path_f32_shift(row[j], -exponent[i]);
             }
             double_pendulum_energy_and_path_f32_spread(shifted, 1.0f, B + 2 * i);
         }
@@ -732,7 +810,8 @@ static int double_pendulum_energy_and_path_f32_length(const float *row, int expo
         shifted[j] = double_pendulum_energy_and_path_f32_shift(row[j], -exponent);
     }
     double_pendulum_energy_and_path_f32_spread(shifted, 1.0f, padded);
-    return exponent + double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_magnitude(double_pendulum_energy_and_path_f32_inner(padded, padded))) / 2;
+    return exponent + double_pendulum_energy_and_path_f32_exponent(
+        double_pendulum_energy_and_path_f32_magnitude(double_pendulum_energy_and_path_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -778,8 +857,10 @@ static void double_pendulum_energy_and_path_f32_vectors(double_pendulum_energy_a
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_factorise_svd(const float *S, double_pendulum_energy_and_path_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE int double_pendulum_energy_and_path_f32_factorise_svd(
+    const float *S, double_pendulum_energy_and_path_f32_factors *f, int top, int bottom)
 {
     float u[4];
     int i;
@@ -789,7 +870,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 2.3841858e-7f * f->sigma[0];
+        f->rank += f->sigma[i] > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -797,7 +878,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
         if (f->rank > 0 && bottom != top) {
             double_pendulum_energy_and_path_f32_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+                    ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT : top;
             }
             double_pendulum_energy_and_path_f32_scale(S, f->exponent, f->B);
         }
@@ -806,21 +888,23 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
 }
 
 /* The ladder, from the step `from` on. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_factorise(const float *S, double_pendulum_energy_and_path_f32_factors *f, int from)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE int double_pendulum_energy_and_path_f32_factorise(const float *S,
+    double_pendulum_energy_and_path_f32_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
+    int bottom = -DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_energy_and_path_f32_word word;
         word.bits = double_pendulum_energy_and_path_f32_largest(S + 2 * i, 2);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
             return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
         if (word.value > double_pendulum_energy_and_path_f32_atol[i]) {
-            f->exponent[i] = double_pendulum_energy_and_path_f32_length(S + 2 * i, double_pendulum_energy_and_path_f32_exponent(word.bits));
+            f->exponent[i] = double_pendulum_energy_and_path_f32_length(S + 2 * i,
+                double_pendulum_energy_and_path_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -834,11 +918,13 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL;
-        if (from > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL || double_pendulum_energy_and_path_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL
+                || double_pendulum_energy_and_path_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR;
             f->direct = 1;
             double_pendulum_energy_and_path_f32_qr_factor(f->B, &f->qr);
-            known = from <= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR && double_pendulum_energy_and_path_f32_qr_certified(&f->qr);
+            known = from <= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR
+                && double_pendulum_energy_and_path_f32_qr_certified(&f->qr);
         }
         if (known) {
             return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
@@ -851,7 +937,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART float double_pendulum_energy_and_path_f32_sigma_min(const float *S, double_pendulum_energy_and_path_f32_factors *f)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE float double_pendulum_energy_and_path_f32_sigma_min(const float *S,
+    double_pendulum_energy_and_path_f32_factors *f)
 {
     const uint32_t magnitude = double_pendulum_energy_and_path_f32_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_energy_and_path_f32_exponent(magnitude);
@@ -868,12 +955,12 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART float double_pendulum_energy_an
     return double_pendulum_energy_and_path_f32_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_energy_and_path_f32_refuse(int status, double_pendulum_energy_and_path_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -882,27 +969,32 @@ static int double_pendulum_energy_and_path_f32_refuse(int status, double_pendulu
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.91e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i
+   allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_energy_and_path_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int double_pendulum_energy_and_path_f32_consistent(const float *S, const float *z, const float *y,
+    const float *tau, float *residual)
 {
     int tau_unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(tau, 2));
     float t[2], rest[2];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[2];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
-        const int y_unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(y, 2));
+        const int y_unit = double_pendulum_energy_and_path_f32_exponent(
+            double_pendulum_energy_and_path_f32_largest(y, 2));
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : double_pendulum_energy_and_path_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+            ? 0.0f : double_pendulum_energy_and_path_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
             const float yj = double_pendulum_energy_and_path_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -910,19 +1002,23 @@ static int double_pendulum_energy_and_path_f32_consistent(const float *S, const 
     norm = double_pendulum_energy_and_path_f32_sqrt(norm) + double_pendulum_energy_and_path_f32_sqrt(y_square);
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 2 * i;
-        const int row_unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(row, 2));
-        const int z_unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int row_unit = double_pendulum_energy_and_path_f32_exponent(
+            double_pendulum_energy_and_path_f32_largest(row, 2));
+        const int z_unit = double_pendulum_energy_and_path_f32_exponent(
+            double_pendulum_energy_and_path_f32_magnitude(z[i]));
+        const int product_unit = row_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+            ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const float s = double_pendulum_energy_and_path_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -932,27 +1028,31 @@ static int double_pendulum_energy_and_path_f32_consistent(const float *S, const 
         }
         target = double_pendulum_energy_and_path_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.9073486e-6f * (scale * double_pendulum_energy_and_path_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += double_pendulum_energy_and_path_f32_shift(double_pendulum_energy_and_path_f32_atol[i], tau_unit - unit[i]) * norm * 1.4142135f;
+        allowed = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_CONSISTENCY
+            * (scale * double_pendulum_energy_and_path_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
+            allowed += double_pendulum_energy_and_path_f32_shift(double_pendulum_energy_and_path_f32_atol[i],
+                tau_unit - unit[i]) * norm * DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ROOT_L;
         }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
             rest[i] = double_pendulum_energy_and_path_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : double_pendulum_energy_and_path_f32_shift(double_pendulum_energy_and_path_f32_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+        ? 0.0f : double_pendulum_energy_and_path_f32_shift(double_pendulum_energy_and_path_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void double_pendulum_energy_and_path_f32_qr_apply(const double_pendulum_energy_and_path_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void double_pendulum_energy_and_path_f32_qr_apply(const double_pendulum_energy_and_path_f32_qr *f,
+    const float *restrict r, float *restrict x, int careful)
 {
     const double_pendulum_energy_and_path_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -970,26 +1070,29 @@ static void double_pendulum_energy_and_path_f32_qr_apply(const double_pendulum_e
 }
 
 /* x = S+ r from the normal equations. */
-static void double_pendulum_energy_and_path_f32_normal_apply(const double_pendulum_energy_and_path_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void double_pendulum_energy_and_path_f32_normal_apply(const double_pendulum_energy_and_path_f32_normal *f,
+    const float *B, const float *restrict r, float *restrict x)
 {
     float w[2];
     int j;
     double_pendulum_energy_and_path_f32_normal_solve(f, r, w);
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
 
 /* r = z - B t. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_f32_residual(
+    const float *B, const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - double_pendulum_energy_and_path_f32_inner(B, t);
     r[1] = z[1] - double_pendulum_energy_and_path_f32_inner(B + 2, t);
 }
 
 /* x = S+ r, from the step of the ladder that held. */
-static void double_pendulum_energy_and_path_f32_apply(const double_pendulum_energy_and_path_f32_factors *f, const float *r, float *x, int careful)
+static void double_pendulum_energy_and_path_f32_apply(const double_pendulum_energy_and_path_f32_factors *f,
+    const float *r, float *x, int careful)
 {
     int i, j, k;
     if (f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL) {
@@ -1016,14 +1119,18 @@ static void double_pendulum_energy_and_path_f32_apply(const double_pendulum_ener
     }
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info, int from)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE int double_pendulum_energy_and_path_f32_solve_scaled(
+    const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info,
+    int from)
 {
     double_pendulum_energy_and_path_f32_factors f;
     float zs[2], ys[2], r[2], x[2], answer[2];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
     int status, i, j;
-    if (double_pendulum_energy_and_path_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && double_pendulum_energy_and_path_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
+    if (double_pendulum_energy_and_path_f32_largest(z, 2) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS
+            || (y != NULL && double_pendulum_energy_and_path_f32_largest(y, 2)
+            >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS)) {
         return double_pendulum_energy_and_path_f32_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE, info);
     }
     status = double_pendulum_energy_and_path_f32_factorise(S, &f, from);
@@ -1031,23 +1138,26 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
         return double_pendulum_energy_and_path_f32_refuse(status, info);
     }
     if (f.rank == 2) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
         unit = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_largest(y, 2));
     }
     for (i = 0; i < 2; ++i) {
-        const int own = double_pendulum_energy_and_path_f32_exponent(double_pendulum_energy_and_path_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        const int own = double_pendulum_energy_and_path_f32_exponent(
+            double_pendulum_energy_and_path_f32_magnitude(z[i]));
+        if (f.exponent[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+                && own != DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : double_pendulum_energy_and_path_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT
+            ? 0.0f : double_pendulum_energy_and_path_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
         ys[j] = y == NULL ? 0.0f : double_pendulum_energy_and_path_f32_shift(y[j], -unit);
@@ -1069,13 +1179,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
             answer[j] += double_pendulum_energy_and_path_f32_shift(x[j], unit);
         }
     }
-    if (double_pendulum_energy_and_path_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_energy_and_path_f32_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
         return double_pendulum_energy_and_path_f32_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
         const int met = double_pendulum_energy_and_path_f32_consistent(S, z, y, answer, &residual);
         if (f.rank < 2) {
-            status = met ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1092,7 +1203,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART void double_pendulum_energy_and_path_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, double_pendulum_energy_and_path_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE void double_pendulum_energy_and_path_f32_report(const float *S,
+    const float *z, const float *y, const float *tau, int path, double_pendulum_energy_and_path_f32_info *info)
 {
     double_pendulum_energy_and_path_f32_factors f;
     (void)double_pendulum_energy_and_path_f32_consistent(S, z, y, tau, &info->residual);
@@ -1105,7 +1217,9 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART void double_pendulum_energy_and
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_path_f32_correct(const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_f32_correct(
+    const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr,
+    const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         double_pendulum_energy_and_path_f32_qr_apply(qr, r, x, careful);
@@ -1115,15 +1229,18 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR void double_pendulum_energy_and_
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR int double_pendulum_energy_and_path_f32_answer(const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr, const float *S, const float *B,
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INLINE_WITH_VECTORS int double_pendulum_energy_and_path_f32_answer(
+    const double_pendulum_energy_and_path_f32_normal *normal, const double_pendulum_energy_and_path_f32_qr *qr,
+    const float *S, const float *B,
     const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info)
 {
     float r[2], x[2], step[2];
     int j;
-    if (y != NULL && double_pendulum_energy_and_path_f32_largest(y, 2) >= UINT32_C(0x7f800000)) {
+    if (y != NULL && double_pendulum_energy_and_path_f32_largest(y, 2)
+            >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 2; ++j) {
             r[j] = z[j];
@@ -1144,13 +1261,17 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NEAR int double_pendulum_energy_and_p
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!double_pendulum_energy_and_path_f32_within(double_pendulum_energy_and_path_f32_biased_square(double_pendulum_energy_and_path_f32_inner(x, x)), 27, 237)) {
+    if (!double_pendulum_energy_and_path_f32_within(
+            double_pendulum_energy_and_path_f32_biased_square(double_pendulum_energy_and_path_f32_inner(x, x)),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ANSWER_LOW, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         float answer[2];
         double_pendulum_energy_and_path_f32_gather(x, answer);
-        double_pendulum_energy_and_path_f32_report(S, z, y, answer, qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL, info);
+        double_pendulum_energy_and_path_f32_report(S, z, y, answer,
+            qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL,
+            info);
     }
     double_pendulum_energy_and_path_f32_gather(x, tau);
     return 1;
@@ -1163,10 +1284,13 @@ static int double_pendulum_energy_and_path_f32_qr_scaled(const float *B, double_
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = double_pendulum_energy_and_path_f32_inner(B + 2 * i, B + 2 * i);
-        exponent[i] = (double_pendulum_energy_and_path_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        /* of the length */
+        exponent[i] = (double_pendulum_energy_and_path_f32_biased(f->left[i])
+            + DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS) / 2;
     }
     for (i = 0; i < 2; ++i) {
-        const float unit = double_pendulum_energy_and_path_f32_power(127 - (int)exponent[i]);
+        const float unit = double_pendulum_energy_and_path_f32_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_EXPONENT_BIAS
+            - (int)exponent[i]);
         for (j = 0; j < 2; ++j) {
             f->line[i].p[j] = unit * B[2 * i + j];
         }
@@ -1178,18 +1302,22 @@ static int double_pendulum_energy_and_path_f32_qr_scaled(const float *B, double_
     return double_pendulum_energy_and_path_f32_qr_certified(f);
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE int double_pendulum_energy_and_path_f32_solve_qr(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info)
 {
     double_pendulum_energy_and_path_f32_qr f;
     const float *const B = S;
 
-    if (double_pendulum_energy_and_path_f32_qr_scaled(B, &f) && double_pendulum_energy_and_path_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
+    if (double_pendulum_energy_and_path_f32_qr_scaled(B, &f)
+            && double_pendulum_energy_and_path_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
     }
-    return double_pendulum_energy_and_path_f32_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR);
+    return double_pendulum_energy_and_path_f32_solve_scaled(S, z, y, tau, info,
+        DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_QR);
 }
 
-static int double_pendulum_energy_and_path_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_and_path_f32_info *info)
+static int double_pendulum_energy_and_path_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    double_pendulum_energy_and_path_f32_info *info)
 {
     double_pendulum_energy_and_path_f32_normal f;
     int held;
@@ -1202,11 +1330,13 @@ static int double_pendulum_energy_and_path_f32_solve_core(const float *S, const 
     if (held == 0) {
         return double_pendulum_energy_and_path_f32_solve_qr(S, z, y, tau, info);
     }
-    return double_pendulum_energy_and_path_f32_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL);
+    return double_pendulum_energy_and_path_f32_solve_scaled(S, z, y, tau, info,
+        DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_path_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_energy_and_path_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NOINLINE int double_pendulum_energy_and_path_f32_pinv_core(const float *S,
+    float *S_pinv, double_pendulum_energy_and_path_f32_info *info)
 {
     double_pendulum_energy_and_path_f32_factors f;
     float unit[2], x[2], answer[4];
@@ -1219,7 +1349,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
         unit[i] = 0.0f;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         double_pendulum_energy_and_path_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1227,10 +1357,11 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
             answer[2 * j + i] = zero_row ? 0.0f : double_pendulum_energy_and_path_f32_shift(x[j], -f.exponent[i]);
         }
     }
-    if (double_pendulum_energy_and_path_f32_largest(answer, 4) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_energy_and_path_f32_largest(answer, 4) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS) {
         return double_pendulum_energy_and_path_f32_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, info);
     }
-    status = f.rank < 2 ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
+    status = f.rank < 2 ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_RANK_DEFICIENT_CONSISTENT
+        : DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
     if (info != NULL) {
         info->status = status;
         info->path = f.path;
@@ -1245,7 +1376,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_APART int double_pendulum_energy_and_
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_energy_and_path_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1256,10 +1387,12 @@ static void double_pendulum_energy_and_path_f32_copy(const float *from, float *t
 
 static int double_pendulum_energy_and_path_f32_finite(const float *x, int n)
 {
-    return double_pendulum_energy_and_path_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return double_pendulum_energy_and_path_f32_largest(x, n) < DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry,
+   scale. Pivots come in the order of elimination, and the first bad one decides: those behind it have been divided by
+   noise. */
 static int double_pendulum_energy_and_path_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1274,7 +1407,7 @@ static int double_pendulum_energy_and_path_f32_mass_status(const float *pivot, c
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_energy_and_path_f32_input_finite(const double_pendulum_energy_and_path_f32_input *in)
 {
     return double_pendulum_energy_and_path_f32_finite(in->q, 2)
@@ -1282,27 +1415,23 @@ static int double_pendulum_energy_and_path_f32_input_finite(const double_pendulu
            && double_pendulum_energy_and_path_f32_finite(&in->E_0, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_reason(int status, const double_pendulum_energy_and_path_f32_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_reason(int status,
+    const double_pendulum_energy_and_path_f32_input *in)
 {
     if (!double_pendulum_energy_and_path_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE;
     }
-    return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW : status;
+    return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_NONFINITE
+        ? DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_psi(
+    const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
+    float *psi)
 {
+    /* towards psi */
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_and_path_f32_cos(t0);
     const float t2 = model->c0 * t1;
@@ -1330,22 +1459,30 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S(
+    const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
+    float *S, float *mass_pivot, float *mass_scale)
 {
+    /* towards S, pivots of Q */
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_and_path_f32_cos(t0);
     const float t2 = model->c0 * t1;
+    /* towards S */
     const float t3 = double_pendulum_energy_and_path_f32_cos(in->q[1]);
     const float t4 = in->u[1] - in->u[0];
     const float t5 = double_pendulum_energy_and_path_f32_sin(in->q[0]);
     const float t6 = model->R * t5;
     const float t7 = model->c7 * t6;
+    /* towards S, pivots of Q */
     const float t8 = model->c7 * t2;
+    /* towards S */
     const float t9 = model->L * t3;
     const float t10 = t6 * t8;
     const float t11 = t9 + t10;
+    /* towards S, pivots of Q */
     const float t12 = t2 * t8;
     const float t13 = model->c5 - t12;
+    /* towards S */
     const float t14 = t11 / t13;
     const float t15 = t8 * t14;
     const float t16 = t7 + t15;
@@ -1355,17 +1492,21 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     S[1] = t4;
     S[2] = (-t16);
     S[3] = t17;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_z(
+    const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
+    float *z, float *mass_pivot, float *mass_scale)
 {
+    /* towards z, pivots of Q */
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_f32_pair t1 = double_pendulum_energy_and_path_f32_sincos(t0);
     const float t2 = model->c0 * t1.cos;
+    /* towards z */
     const float t3 = model->c0 * t1.sin;
     const float t4 = in->u[1] * t2;
     const float t5 = model->c1 * in->u[0];
@@ -1393,9 +1534,11 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     const float t27 = model->c2 * t11.sin;
     const float t28 = t27 + t25;
     const float t29 = model->c7 * t26;
+    /* towards z, pivots of Q */
     const float t30 = model->c7 * t2;
     const float t31 = t2 * t30;
     const float t32 = model->c5 - t31;
+    /* towards z */
     const float t33 = t26 * t30;
     const float t34 = t20 + t33;
     const float t35 = t34 / t32;
@@ -1419,17 +1562,21 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     /* z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = (-t19);
     z[1] = t52;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and_path_f32_eval_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S_z(
+    const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
+    float *S, float *z, float *mass_pivot, float *mass_scale)
 {
+    /* towards S, z, pivots of Q */
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_f32_pair t1 = double_pendulum_energy_and_path_f32_sincos(t0);
     const float t2 = model->c0 * t1.cos;
+    /* towards z */
     const float t3 = model->c0 * t1.sin;
     const float t4 = in->u[1] * t2;
     const float t5 = model->c1 * in->u[0];
@@ -1442,37 +1589,50 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     const float t12 = model->c2 * t11.cos;
     const float t13 = t10 - t12;
     const float t14 = model->R * t11.cos;
+    /* towards S, z */
     const double_pendulum_energy_and_path_f32_pair t15 = double_pendulum_energy_and_path_f32_sincos(in->q[1]);
+    /* towards z */
     const float t16 = model->c3 * t15.cos;
     const float t17 = t13 - t16;
     const float t18 = t17 - in->E_0;
     const float t19 = t7 + t18;
+    /* towards S, z */
     const float t20 = model->L * t15.cos;
+    /* towards z */
     const float t21 = model->L * t15.sin;
     const float t22 = model->c3 * t15.sin;
     const float t23 = t14 + t21;
     const float t24 = t8 * t21;
     const float t25 = t8 * t3;
+    /* towards S */
     const float t26 = in->u[1] - in->u[0];
+    /* towards S, z */
     const float t27 = model->R * t11.sin;
+    /* towards z */
     const float t28 = model->c2 * t11.sin;
     const float t29 = t28 + t25;
+    /* towards S, z */
     const float t30 = model->c7 * t27;
+    /* towards S, z, pivots of Q */
     const float t31 = model->c7 * t2;
     const float t32 = t2 * t31;
     const float t33 = model->c5 - t32;
+    /* towards S, z */
     const float t34 = t27 * t31;
     const float t35 = t20 + t34;
     const float t36 = t35 / t33;
     const float t37 = t31 * t36;
     const float t38 = t30 + t37;
+    /* towards z */
     const float t39 = in->u[1] * t20;
     const float t40 = in->u[0] * t27;
     const float t41 = t39 - t40;
     const float t42 = t41 * 2.0f;
     const float t43 = t23 + t42;
     const float t44 = t38 * t29;
+    /* towards S */
     const float t45 = t36 + t38;
+    /* towards z */
     const float t46 = in->u[0] * in->u[0];
     const float t47 = t14 * t46;
     const float t48 = t24 + t47;
@@ -1490,13 +1650,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_SMALL void double_pendulum_energy_and
     /* z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = (-t19);
     z[1] = t54;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
 
 
-int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and_path_f32_params *params, double_pendulum_energy_and_path_f32_model *model)
+int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and_path_f32_params *params,
+    double_pendulum_energy_and_path_f32_model *model)
 {
     double_pendulum_energy_and_path_f32_model ready;
     float mass_pivot[1], mass_scale[1];
@@ -1586,7 +1747,8 @@ int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-int double_pendulum_energy_and_path_f32_psi(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *psi)
+int double_pendulum_energy_and_path_f32_psi(const double_pendulum_energy_and_path_f32_model *model,
+    const double_pendulum_energy_and_path_f32_input *in, float *psi)
 {
     float new_psi[2];
     double_pendulum_energy_and_path_f32_eval_psi(model, in, new_psi);
@@ -1597,7 +1759,8 @@ int double_pendulum_energy_and_path_f32_psi(const double_pendulum_energy_and_pat
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S)
+int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_f32_model *model,
+    const double_pendulum_energy_and_path_f32_input *in, float *S)
 {
     float new_S[4];
     float mass_pivot[1], mass_scale[1];
@@ -1617,7 +1780,8 @@ int double_pendulum_energy_and_path_f32_S(const double_pendulum_energy_and_path_
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *z)
+int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_f32_model *model,
+    const double_pendulum_energy_and_path_f32_input *in, float *z)
 {
     float new_z[2];
     float mass_pivot[1], mass_scale[1];
@@ -1634,7 +1798,8 @@ int double_pendulum_energy_and_path_f32_z(const double_pendulum_energy_and_path_
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OK;
 }
 
-int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *S, float *z)
+int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_path_f32_model *model,
+    const double_pendulum_energy_and_path_f32_input *in, float *S, float *z)
 {
     float new_S[4];
     float new_z[2];
@@ -1645,7 +1810,8 @@ int double_pendulum_energy_and_path_f32_S_z(const double_pendulum_energy_and_pat
     if (status < 0) {
         return double_pendulum_energy_and_path_f32_reason(status, in);
     }
-    if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4) && double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
+    if (!(double_pendulum_energy_and_path_f32_finite(new_S, 4)
+            && double_pendulum_energy_and_path_f32_finite(new_z, 2))) {
         return double_pendulum_energy_and_path_f32_reason(DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_OVERFLOW, in);
     }
     double_pendulum_energy_and_path_f32_copy(new_S, S, 4);
@@ -1663,17 +1829,20 @@ const double_pendulum_energy_and_path_f32_params double_pendulum_energy_and_path
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_failed(int status, const double_pendulum_energy_and_path_f32_input *in, double_pendulum_energy_and_path_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_COLD int double_pendulum_energy_and_path_f32_failed(int status,
+    const double_pendulum_energy_and_path_f32_input *in, double_pendulum_energy_and_path_f32_info *info)
 {
     return double_pendulum_energy_and_path_f32_refuse(double_pendulum_energy_and_path_f32_reason(status, in), info);
 }
 
-int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv, double_pendulum_energy_and_path_f32_info *info)
+int double_pendulum_energy_and_path_f32_pinv(const float *S, float *S_pinv,
+    double_pendulum_energy_and_path_f32_info *info)
 {
     return double_pendulum_energy_and_path_f32_pinv_core(S, S_pinv, info);
 }
 
-int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in, float *tau, double_pendulum_energy_and_path_f32_info *info)
+int double_pendulum_energy_and_path_f32_control(const double_pendulum_energy_and_path_f32_model *model,
+    const double_pendulum_energy_and_path_f32_input *in, float *tau, double_pendulum_energy_and_path_f32_info *info)
 {
     float S[4], z[2];
     float mass_pivot[1], mass_scale[1];

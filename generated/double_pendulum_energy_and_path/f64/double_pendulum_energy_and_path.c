@@ -11,22 +11,72 @@
 #error "build double_pendulum_energy_and_path.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS 52
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS 1023
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT (-16384)
+/* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SUBNORMAL_LIFT 64
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_CONSISTENCY 3.552713678800501e-15
+/* sqrt(2): a row within its atol is no longer than this times atol */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_ROOT_L 1.4142135623730951
+/* singular values at or below this part of the largest count as zero */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_RTOL 4.440892098500626e-16
+/* exponents of row 0's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_0 523
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_0 1523
+/* exponents of row 1's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_1 928
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_1 1523
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_LOW 23 /* the same of the answer's square */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_LIMIT 27271342415.357616
+/* up to this bound times |B|^2 the QR needs no SVD */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_QR_LIMIT 1.7747108403195213e+29
+/* below this the square of a pivot counts as zero */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_SQUARE 1.1830521861667747e-271
+typedef union double_pendulum_energy_and_path_word {
     double value;
     uint64_t bits;
 } double_pendulum_energy_and_path_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t double_pendulum_energy_and_path_magnitude(double x)
 {
     double_pendulum_energy_and_path_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & DOUBLE_PENDULUM_ENERGY_AND_PATH_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t double_pendulum_energy_and_path_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +115,20 @@ static double double_pendulum_energy_and_path_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -DOUBLE_PENDULUM_ENERGY_AND_PATH_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL - 1u))
+        | DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +136,8 @@ static double double_pendulum_energy_and_path_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +161,13 @@ static int double_pendulum_energy_and_path_reduce_far(double x, double *hi, doub
     double a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_energy_and_path_word word;
     const uint64_t magnitude = double_pendulum_energy_and_path_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +176,14 @@ static int double_pendulum_energy_and_path_reduce_far(double x, double *hi, doub
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +235,8 @@ static void double_pendulum_energy_and_path_reduce_close(double x, double k, dou
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_energy_and_path_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = double_pendulum_energy_and_path_magnitude(x);
@@ -196,14 +253,17 @@ static inline int double_pendulum_energy_and_path_reduce(double x, double *hi, d
         return quadrant;
     }
     {
-        double_pendulum_energy_and_path_word nearest; /* adding 1.5 2^52 rounds to an integer, and leaves it in the low bits */
+        /* adding 1.5 2^52 rounds to an integer, and leaves it in the low bits */
+        double_pendulum_energy_and_path_word nearest;
         double k, head, tail;
         nearest.value = x * 0.6366197723675814 + 6755399441055744.0;
         k = nearest.value - 6755399441055744.0;
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (double_pendulum_energy_and_path_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS)
+                > (double_pendulum_energy_and_path_magnitude(*hi) >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS)
+                + 24u) {
             double close_hi, close_lo;
             double_pendulum_energy_and_path_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,14 +280,16 @@ static inline int double_pendulum_energy_and_path_reduce(double x, double *hi, d
 static double double_pendulum_energy_and_path_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double double_pendulum_energy_and_path_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
@@ -238,7 +300,8 @@ static double double_pendulum_energy_and_path_sin(double x)
 {
     double hi, lo, value;
     const int quadrant = double_pendulum_energy_and_path_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_cos_near(hi, lo) : double_pendulum_energy_and_path_sin_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_cos_near(hi, lo)
+        : double_pendulum_energy_and_path_sin_near(hi, lo);
     return (quadrant & 2) != 0 ? -value : value;
 }
 
@@ -247,11 +310,12 @@ static double double_pendulum_energy_and_path_cos(double x)
 {
     double hi, lo, value;
     const int quadrant = double_pendulum_energy_and_path_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_sin_near(hi, lo) : double_pendulum_energy_and_path_cos_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_energy_and_path_sin_near(hi, lo)
+        : double_pendulum_energy_and_path_cos_near(hi, lo);
     return ((quadrant + 1) & 2) != 0 ? -value : value;
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_pair {
     double sin, cos;
 } double_pendulum_energy_and_path_pair;
 
@@ -278,59 +342,60 @@ static double_pendulum_energy_and_path_pair double_pendulum_energy_and_path_sinc
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN to DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX, by
+   writing its exponent. */
 static double double_pendulum_energy_and_path_power(int k)
 {
     double_pendulum_energy_and_path_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits =
+        (uint64_t)(k + DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS) << DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double double_pendulum_energy_and_path_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN && k <= DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX) {
         return x * double_pendulum_energy_and_path_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= double_pendulum_energy_and_path_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_energy_and_path_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_energy_and_path_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_energy_and_path_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN
+            + DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN + DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN;
     }
     return x * double_pendulum_energy_and_path_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|;
+   DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT for zero. */
 static int double_pendulum_energy_and_path_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL) {
         double_pendulum_energy_and_path_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_energy_and_path_magnitude(word.value * double_pendulum_energy_and_path_power(64));
-        lift = 64;
+        magnitude = double_pendulum_energy_and_path_magnitude(word.value
+            * double_pendulum_energy_and_path_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_ENERGY_AND_PATH_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS - lift;
 }
 
 static double double_pendulum_energy_and_path_abs(double x)
@@ -338,69 +403,73 @@ static double double_pendulum_energy_and_path_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t double_pendulum_energy_and_path_biased(double x)
 {
     double_pendulum_energy_and_path_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t double_pendulum_energy_and_path_biased_square(double square)
 {
     double_pendulum_energy_and_path_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_energy_and_path_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR inline __attribute__((always_inline))
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL
 #elif defined(__clang__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT /* it does so by itself */
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL /* clang writes such loops out by itself */
 #else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_spread(const double *restrict v, double factor, double *restrict w)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_spread(
+    const double *restrict v, double factor, double *restrict w)
 {
     int k;
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_gather(
+    const double *restrict w, double *restrict v)
 {
     int k;
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR double double_pendulum_energy_and_path_inner(const double *a, const double *b)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS double double_pendulum_energy_and_path_inner(
+    const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
 } double_pendulum_energy_and_path_normal;
@@ -408,8 +477,8 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int double_pendulum_energy_and_path_normal_factor(const double *B, double_pendulum_energy_and_path_normal *f)
 {
     const double g_0_0 = double_pendulum_energy_and_path_inner(B, B);
@@ -419,25 +488,28 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_0_0), 523, 1523) || !double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_1_1), 928, 1523)) {
+    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_0_0),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_0, DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_0)
+            || !double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(g_1_1),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_1, DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     n_1_0 = double_pendulum_energy_and_path_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -447,7 +519,8 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
 }
 
 /* w = (B B^T)^-1 r. */
-static void double_pendulum_energy_and_path_normal_solve(const double_pendulum_energy_and_path_normal *f, const double *r, double *w)
+static void double_pendulum_energy_and_path_normal_solve(const double_pendulum_energy_and_path_normal *f,
+    const double *r, double *w)
 {
     const double a_0 = r[0];
     const double a_1 = r[1] - f->lower[0] * a_0;
@@ -458,15 +531,16 @@ static void double_pendulum_energy_and_path_normal_solve(const double_pendulum_e
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct double_pendulum_energy_and_path_line {
     double p[2];
     double l[2];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } double_pendulum_energy_and_path_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct double_pendulum_energy_and_path_qr {
     double_pendulum_energy_and_path_line line[2];
     double_pendulum_energy_and_path_line *at[2];
     double left[2];    /* squared length of at[k]->p */
@@ -477,7 +551,8 @@ typedef struct {
 } double_pendulum_energy_and_path_qr;
 
 /* rest -= along pivot, its squared length. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR double double_pendulum_energy_and_path_take_out(double *restrict rest, const double *restrict pivot, double along)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS double double_pendulum_energy_and_path_take_out(
+    double *restrict rest, const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -514,7 +589,7 @@ static void double_pendulum_energy_and_path_qr_reduce(double_pendulum_energy_and
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -547,8 +622,8 @@ static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pe
     double_pendulum_energy_and_path_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -562,10 +637,11 @@ static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_en
     n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    return bound * total < 1.7747108403195213e+29;
+    return bound * total < DOUBLE_PENDULUM_ENERGY_AND_PATH_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void double_pendulum_energy_and_path_triangle(double *t, int first, double *sigma)
 {
@@ -595,9 +671,10 @@ static void double_pendulum_energy_and_path_triangle(double *t, int first, doubl
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
-static int double_pendulum_energy_and_path_svd(const double_pendulum_energy_and_path_qr *f, double *left, double *sigma)
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+static int double_pendulum_energy_and_path_svd(const double_pendulum_energy_and_path_qr *f, double *left,
+    double *sigma)
 {
     int i, k;
     for (k = 0; k < 4; ++k) {
@@ -618,9 +695,9 @@ static int double_pendulum_energy_and_path_svd(const double_pendulum_energy_and_
     return 1;
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_and_path_factors {
     double B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT where a row counts as zero */
     double_pendulum_energy_and_path_normal normal;
     double_pendulum_energy_and_path_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -641,9 +718,10 @@ static const double double_pendulum_energy_and_path_atol[2] = {
     1.7763568394002505e-15
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void double_pendulum_energy_and_path_undo_scaling(double_pendulum_energy_and_path_factors *f, int top)
 {
     double F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -661,7 +739,7 @@ static void double_pendulum_energy_and_path_undo_scaling(double_pendulum_energy_
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0 :
+            F[2 * k + i] = exponent == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT ? 0.0 :
                 double_pendulum_energy_and_path_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -738,18 +816,21 @@ static void double_pendulum_energy_and_path_undo_scaling(double_pendulum_energy_
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT. */
 static void double_pendulum_energy_and_path_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
-            double_pendulum_energy_and_path_spread(row, double_pendulum_energy_and_path_power(-exponent[i]), B + 2 * i);
+        if (exponent[i] >= -DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX
+                && exponent[i] <= -DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MIN) {
+            double_pendulum_energy_and_path_spread(row, double_pendulum_energy_and_path_power(-exponent[i]),
+                B + 2 * i);
         } else {
             double shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+                    ? 0.0 : double_pendulum_energy_and_path_shift(row[j], -exponent[i]);
             }
             double_pendulum_energy_and_path_spread(shifted, 1.0, B + 2 * i);
         }
@@ -766,7 +847,8 @@ static int double_pendulum_energy_and_path_length(const double *row, int exponen
         shifted[j] = double_pendulum_energy_and_path_shift(row[j], -exponent);
     }
     double_pendulum_energy_and_path_spread(shifted, 1.0, padded);
-    return exponent + double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_magnitude(double_pendulum_energy_and_path_inner(padded, padded))) / 2;
+    return exponent + double_pendulum_energy_and_path_exponent(
+        double_pendulum_energy_and_path_magnitude(double_pendulum_energy_and_path_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -812,8 +894,10 @@ static void double_pendulum_energy_and_path_vectors(double_pendulum_energy_and_p
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise_svd(const double *S, double_pendulum_energy_and_path_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_path_factorise_svd(const double *S,
+    double_pendulum_energy_and_path_factors *f, int top, int bottom)
 {
     double u[4];
     int i;
@@ -823,7 +907,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 4.440892098500626e-16 * f->sigma[0];
+        f->rank += f->sigma[i] > DOUBLE_PENDULUM_ENERGY_AND_PATH_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -831,7 +915,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         if (f->rank > 0 && bottom != top) {
             double_pendulum_energy_and_path_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+                    ? DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT : top;
             }
             double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
         }
@@ -840,21 +925,23 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
 }
 
 /* The ladder, from the step `from` on. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_factorise(const double *S, double_pendulum_energy_and_path_factors *f, int from)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_path_factorise(const double *S,
+    double_pendulum_energy_and_path_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
+    int bottom = -DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_energy_and_path_word word;
         word.bits = double_pendulum_energy_and_path_largest(S + 2 * i, 2);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
             return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
         if (word.value > double_pendulum_energy_and_path_atol[i]) {
-            f->exponent[i] = double_pendulum_energy_and_path_length(S + 2 * i, double_pendulum_energy_and_path_exponent(word.bits));
+            f->exponent[i] = double_pendulum_energy_and_path_length(S + 2 * i,
+                double_pendulum_energy_and_path_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -868,11 +955,13 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
-        if (from > DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL || double_pendulum_energy_and_path_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL
+                || double_pendulum_energy_and_path_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR;
             f->direct = 1;
             double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
-            known = from <= DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR && double_pendulum_energy_and_path_qr_certified(&f->qr);
+            known = from <= DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR
+                && double_pendulum_energy_and_path_qr_certified(&f->qr);
         }
         if (known) {
             return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
@@ -885,7 +974,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART double double_pendulum_energy_and_path_sigma_min(const double *S, double_pendulum_energy_and_path_factors *f)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_sigma_min(const double *S,
+    double_pendulum_energy_and_path_factors *f)
 {
     const uint64_t magnitude = double_pendulum_energy_and_path_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_energy_and_path_exponent(magnitude);
@@ -902,12 +992,12 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART double double_pendulum_energy_and_p
     return double_pendulum_energy_and_path_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_energy_and_path_refuse(int status, double_pendulum_energy_and_path_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -916,17 +1006,19 @@ static int double_pendulum_energy_and_path_refuse(int status, double_pendulum_en
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 3.55e-15 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_ENERGY_AND_PATH_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_energy_and_path_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int double_pendulum_energy_and_path_consistent(const double *S, const double *z, const double *y,
+    const double *tau, double *residual)
 {
     int tau_unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(tau, 2));
     double t[2], rest[2];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[2];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -934,9 +1026,10 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+            ? 0.0 : double_pendulum_energy_and_path_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
             const double yj = double_pendulum_energy_and_path_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -946,17 +1039,19 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
         const double *const row = S + 2 * i;
         const int row_unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(row, 2));
         const int z_unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+            ? DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const double s = double_pendulum_energy_and_path_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -966,27 +1061,31 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
         }
         target = double_pendulum_energy_and_path_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 3.552713678800501e-15 * (scale * double_pendulum_energy_and_path_sqrt(square) * norm + (target < 0.0 ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += double_pendulum_energy_and_path_shift(double_pendulum_energy_and_path_atol[i], tau_unit - unit[i]) * norm * 1.4142135623730951;
+        allowed = DOUBLE_PENDULUM_ENERGY_AND_PATH_CONSISTENCY
+            * (scale * double_pendulum_energy_and_path_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
+            allowed += double_pendulum_energy_and_path_shift(double_pendulum_energy_and_path_atol[i],
+                tau_unit - unit[i]) * norm * DOUBLE_PENDULUM_ENERGY_AND_PATH_ROOT_L;
         }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
             rest[i] = double_pendulum_energy_and_path_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(double_pendulum_energy_and_path_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+        ? 0.0 : double_pendulum_energy_and_path_shift(double_pendulum_energy_and_path_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f, const double *restrict r, double *restrict x, int careful)
+static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f,
+    const double *restrict r, double *restrict x, int careful)
 {
     const double_pendulum_energy_and_path_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -1004,26 +1103,29 @@ static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energ
 }
 
 /* x = S+ r from the normal equations. */
-static void double_pendulum_energy_and_path_normal_apply(const double_pendulum_energy_and_path_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void double_pendulum_energy_and_path_normal_apply(const double_pendulum_energy_and_path_normal *f,
+    const double *B, const double *restrict r, double *restrict x)
 {
     double w[2];
     int j;
     double_pendulum_energy_and_path_normal_solve(f, r, w);
-    DOUBLE_PENDULUM_ENERGY_AND_PATH_WRITTEN_OUT
+    DOUBLE_PENDULUM_ENERGY_AND_PATH_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
 
 /* r = z - B t. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_residual(const double *B, const double *z, const double *t, double *restrict r)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_residual(
+    const double *B, const double *z, const double *t, double *restrict r)
 {
     r[0] = z[0] - double_pendulum_energy_and_path_inner(B, t);
     r[1] = z[1] - double_pendulum_energy_and_path_inner(B + 2, t);
 }
 
 /* x = S+ r, from the step of the ladder that held. */
-static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_and_path_factors *f, const double *r, double *x, int careful)
+static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_and_path_factors *f, const double *r,
+    double *x, int careful)
 {
     int i, j, k;
     if (f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL) {
@@ -1050,14 +1152,17 @@ static void double_pendulum_energy_and_path_apply(const double_pendulum_energy_a
     }
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int from)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_path_solve_scaled(const double *S,
+    const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info, int from)
 {
     double_pendulum_energy_and_path_factors f;
     double zs[2], ys[2], r[2], x[2], answer[2];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
     int status, i, j;
-    if (double_pendulum_energy_and_path_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
+    if (double_pendulum_energy_and_path_largest(z, 2) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS
+            || (y != NULL && double_pendulum_energy_and_path_largest(y, 2)
+            >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS)) {
         return double_pendulum_energy_and_path_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE, info);
     }
     status = double_pendulum_energy_and_path_factorise(S, &f, from);
@@ -1065,7 +1170,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         return double_pendulum_energy_and_path_refuse(status, info);
     }
     if (f.rank == 2) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
@@ -1073,15 +1178,17 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     }
     for (i = 0; i < 2; ++i) {
         const int own = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+                && own != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : double_pendulum_energy_and_path_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT
+            ? 0.0 : double_pendulum_energy_and_path_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
         ys[j] = y == NULL ? 0.0 : double_pendulum_energy_and_path_shift(y[j], -unit);
@@ -1103,13 +1210,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
             answer[j] += double_pendulum_energy_and_path_shift(x[j], unit);
         }
     }
-    if (double_pendulum_energy_and_path_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_energy_and_path_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
         return double_pendulum_energy_and_path_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
         const int met = double_pendulum_energy_and_path_consistent(S, z, y, answer, &residual);
         if (f.rank < 2) {
-            status = met ? DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1126,7 +1234,8 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_path_report(const double *S, const double *z, const double *y, const double *tau, int path, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE void double_pendulum_energy_and_path_report(const double *S,
+    const double *z, const double *y, const double *tau, int path, double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_factors f;
     (void)double_pendulum_energy_and_path_consistent(S, z, y, tau, &info->residual);
@@ -1139,7 +1248,9 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART void double_pendulum_energy_and_pat
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path_correct(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *B, const double *r, double *x, int careful)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_correct(
+    const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr,
+    const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         double_pendulum_energy_and_path_qr_apply(qr, r, x, careful);
@@ -1149,15 +1260,17 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR void double_pendulum_energy_and_path
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_answer(const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr, const double *S, const double *B,
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS int double_pendulum_energy_and_path_answer(
+    const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr,
+    const double *S, const double *B,
     const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
 {
     double r[2], x[2], step[2];
     int j;
-    if (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (y != NULL && double_pendulum_energy_and_path_largest(y, 2) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 2; ++j) {
             r[j] = z[j];
@@ -1178,13 +1291,16 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NEAR int double_pendulum_energy_and_path_
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(double_pendulum_energy_and_path_inner(x, x)), 23, 1923)) {
+    if (!double_pendulum_energy_and_path_within(
+            double_pendulum_energy_and_path_biased_square(double_pendulum_energy_and_path_inner(x, x)),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_LOW, DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         double answer[2];
         double_pendulum_energy_and_path_gather(x, answer);
-        double_pendulum_energy_and_path_report(S, z, y, answer, qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL, info);
+        double_pendulum_energy_and_path_report(S, z, y, answer,
+            qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL, info);
     }
     double_pendulum_energy_and_path_gather(x, tau);
     return 1;
@@ -1197,10 +1313,13 @@ static int double_pendulum_energy_and_path_qr_scaled(const double *B, double_pen
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = double_pendulum_energy_and_path_inner(B + 2 * i, B + 2 * i);
-        exponent[i] = (double_pendulum_energy_and_path_biased(f->left[i]) + 1023) / 2; /* of the length */
+        /* of the length */
+        exponent[i] = (double_pendulum_energy_and_path_biased(f->left[i])
+            + DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS) / 2;
     }
     for (i = 0; i < 2; ++i) {
-        const double unit = double_pendulum_energy_and_path_power(1023 - (int)exponent[i]);
+        const double unit = double_pendulum_energy_and_path_power(DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_BIAS
+            - (int)exponent[i]);
         for (j = 0; j < 2; ++j) {
             f->line[i].p[j] = unit * B[2 * i + j];
         }
@@ -1212,18 +1331,21 @@ static int double_pendulum_energy_and_path_qr_scaled(const double *B, double_pen
     return double_pendulum_energy_and_path_qr_certified(f);
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_solve_qr(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_path_solve_qr(const double *S,
+    const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_qr f;
     const double *const B = S;
 
-    if (double_pendulum_energy_and_path_qr_scaled(B, &f) && double_pendulum_energy_and_path_answer(NULL, &f, S, B, z, y, tau, info)) {
+    if (double_pendulum_energy_and_path_qr_scaled(B, &f)
+            && double_pendulum_energy_and_path_answer(NULL, &f, S, B, z, y, tau, info)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
     }
     return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR);
 }
 
-static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_energy_and_path_info *info)
+static int double_pendulum_energy_and_path_solve_core(const double *S, const double *z, const double *y, double *tau,
+    double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_normal f;
     int held;
@@ -1236,11 +1358,13 @@ static int double_pendulum_energy_and_path_solve_core(const double *S, const dou
     if (held == 0) {
         return double_pendulum_energy_and_path_solve_qr(S, z, y, tau, info);
     }
-    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info, DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL);
+    return double_pendulum_energy_and_path_solve_scaled(S, z, y, tau, info,
+        DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL);
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path_pinv_core(const double *S, double *S_pinv, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_path_pinv_core(const double *S,
+    double *S_pinv, double_pendulum_energy_and_path_info *info)
 {
     double_pendulum_energy_and_path_factors f;
     double unit[2], x[2], answer[4];
@@ -1253,7 +1377,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
         unit[i] = 0.0;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
         unit[i] = 1.0;
         double_pendulum_energy_and_path_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1261,10 +1385,11 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
             answer[2 * j + i] = zero_row ? 0.0 : double_pendulum_energy_and_path_shift(x[j], -f.exponent[i]);
         }
     }
-    if (double_pendulum_energy_and_path_largest(answer, 4) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_energy_and_path_largest(answer, 4) >= DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS) {
         return double_pendulum_energy_and_path_refuse(DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW, info);
     }
-    status = f.rank < 2 ? DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
+    status = f.rank < 2 ? DOUBLE_PENDULUM_ENERGY_AND_PATH_RANK_DEFICIENT_CONSISTENT
+        : DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
     if (info != NULL) {
         info->status = status;
         info->path = f.path;
@@ -1279,7 +1404,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_APART int double_pendulum_energy_and_path
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_energy_and_path_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1290,10 +1415,12 @@ static void double_pendulum_energy_and_path_copy(const double *from, double *to,
 
 static int double_pendulum_energy_and_path_finite(const double *x, int n)
 {
-    return double_pendulum_energy_and_path_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return double_pendulum_energy_and_path_largest(x, n) < DOUBLE_PENDULUM_ENERGY_AND_PATH_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_ENERGY_AND_PATH_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale.
+   Pivots come in the order of elimination, and the first bad one decides: those behind it have been divided by
+   noise. */
 static int double_pendulum_energy_and_path_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1308,7 +1435,7 @@ static int double_pendulum_energy_and_path_mass_status(const double *pivot, cons
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_energy_and_path_input_finite(const double_pendulum_energy_and_path_input *in)
 {
     return double_pendulum_energy_and_path_finite(in->q, 2)
@@ -1316,18 +1443,10 @@ static int double_pendulum_energy_and_path_input_finite(const double_pendulum_en
            && double_pendulum_energy_and_path_finite(&in->E_0, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_reason(int status, const double_pendulum_energy_and_path_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_reason(int status,
+    const double_pendulum_energy_and_path_input *in)
 {
     if (!double_pendulum_energy_and_path_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE;
@@ -1335,8 +1454,10 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_
     return status == DOUBLE_PENDULUM_ENERGY_AND_PATH_NONFINITE ? DOUBLE_PENDULUM_ENERGY_AND_PATH_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_psi(
+    const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
 {
+    /* towards psi */
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_and_path_cos(t0);
     const double t2 = model->c0 * t1;
@@ -1364,22 +1485,30 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S(
+    const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
+    double *mass_pivot, double *mass_scale)
 {
+    /* towards S, pivots of Q */
     const double t0 = in->q[0] - in->q[1];
     const double t1 = double_pendulum_energy_and_path_cos(t0);
     const double t2 = model->c0 * t1;
+    /* towards S */
     const double t3 = double_pendulum_energy_and_path_cos(in->q[1]);
     const double t4 = in->u[1] - in->u[0];
     const double t5 = double_pendulum_energy_and_path_sin(in->q[0]);
     const double t6 = model->R * t5;
     const double t7 = model->c7 * t6;
+    /* towards S, pivots of Q */
     const double t8 = model->c7 * t2;
+    /* towards S */
     const double t9 = model->L * t3;
     const double t10 = t6 * t8;
     const double t11 = t9 + t10;
+    /* towards S, pivots of Q */
     const double t12 = t2 * t8;
     const double t13 = model->c5 - t12;
+    /* towards S */
     const double t14 = t11 / t13;
     const double t15 = t8 * t14;
     const double t16 = t7 + t15;
@@ -1389,17 +1518,21 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     S[1] = t4;
     S[2] = (-t16);
     S[3] = t17;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_z(
+    const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z,
+    double *mass_pivot, double *mass_scale)
 {
+    /* towards z, pivots of Q */
     const double t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_pair t1 = double_pendulum_energy_and_path_sincos(t0);
     const double t2 = model->c0 * t1.cos;
+    /* towards z */
     const double t3 = model->c0 * t1.sin;
     const double t4 = in->u[1] * t2;
     const double t5 = model->c1 * in->u[0];
@@ -1427,9 +1560,11 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     const double t27 = model->c2 * t11.sin;
     const double t28 = t27 + t25;
     const double t29 = model->c7 * t26;
+    /* towards z, pivots of Q */
     const double t30 = model->c7 * t2;
     const double t31 = t2 * t30;
     const double t32 = model->c5 - t31;
+    /* towards z */
     const double t33 = t26 * t30;
     const double t34 = t20 + t33;
     const double t35 = t34 / t32;
@@ -1453,17 +1588,21 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     /* z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = (-t19);
     z[1] = t52;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_path_eval_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S_z(
+    const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
+    double *z, double *mass_pivot, double *mass_scale)
 {
+    /* towards S, z, pivots of Q */
     const double t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_and_path_pair t1 = double_pendulum_energy_and_path_sincos(t0);
     const double t2 = model->c0 * t1.cos;
+    /* towards z */
     const double t3 = model->c0 * t1.sin;
     const double t4 = in->u[1] * t2;
     const double t5 = model->c1 * in->u[0];
@@ -1476,37 +1615,50 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     const double t12 = model->c2 * t11.cos;
     const double t13 = t10 - t12;
     const double t14 = model->R * t11.cos;
+    /* towards S, z */
     const double_pendulum_energy_and_path_pair t15 = double_pendulum_energy_and_path_sincos(in->q[1]);
+    /* towards z */
     const double t16 = model->c3 * t15.cos;
     const double t17 = t13 - t16;
     const double t18 = t17 - in->E_0;
     const double t19 = t7 + t18;
+    /* towards S, z */
     const double t20 = model->L * t15.cos;
+    /* towards z */
     const double t21 = model->L * t15.sin;
     const double t22 = model->c3 * t15.sin;
     const double t23 = t14 + t21;
     const double t24 = t8 * t21;
     const double t25 = t8 * t3;
+    /* towards S */
     const double t26 = in->u[1] - in->u[0];
+    /* towards S, z */
     const double t27 = model->R * t11.sin;
+    /* towards z */
     const double t28 = model->c2 * t11.sin;
     const double t29 = t28 + t25;
+    /* towards S, z */
     const double t30 = model->c7 * t27;
+    /* towards S, z, pivots of Q */
     const double t31 = model->c7 * t2;
     const double t32 = t2 * t31;
     const double t33 = model->c5 - t32;
+    /* towards S, z */
     const double t34 = t27 * t31;
     const double t35 = t20 + t34;
     const double t36 = t35 / t33;
     const double t37 = t31 * t36;
     const double t38 = t30 + t37;
+    /* towards z */
     const double t39 = in->u[1] * t20;
     const double t40 = in->u[0] * t27;
     const double t41 = t39 - t40;
     const double t42 = t41 * 2.0;
     const double t43 = t23 + t42;
     const double t44 = t38 * t29;
+    /* towards S */
     const double t45 = t36 + t38;
+    /* towards z */
     const double t46 = in->u[0] * in->u[0];
     const double t47 = t14 * t46;
     const double t48 = t24 + t47;
@@ -1524,13 +1676,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALL void double_pendulum_energy_and_pat
     /* z = -J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = (-t19);
     z[1] = t54;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
 
 
-int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params, double_pendulum_energy_and_path_model *model)
+int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params,
+    double_pendulum_energy_and_path_model *model)
 {
     double_pendulum_energy_and_path_model ready;
     double mass_pivot[1], mass_scale[1];
@@ -1620,7 +1773,8 @@ int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_pat
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *psi)
+int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_model *model,
+    const double_pendulum_energy_and_path_input *in, double *psi)
 {
     double new_psi[2];
     double_pendulum_energy_and_path_eval_psi(model, in, new_psi);
@@ -1631,7 +1785,8 @@ int double_pendulum_energy_and_path_psi(const double_pendulum_energy_and_path_mo
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S)
+int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_model *model,
+    const double_pendulum_energy_and_path_input *in, double *S)
 {
     double new_S[4];
     double mass_pivot[1], mass_scale[1];
@@ -1651,7 +1806,8 @@ int double_pendulum_energy_and_path_S(const double_pendulum_energy_and_path_mode
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z)
+int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_model *model,
+    const double_pendulum_energy_and_path_input *in, double *z)
 {
     double new_z[2];
     double mass_pivot[1], mass_scale[1];
@@ -1668,7 +1824,8 @@ int double_pendulum_energy_and_path_z(const double_pendulum_energy_and_path_mode
     return DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
 }
 
-int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S, double *z)
+int double_pendulum_energy_and_path_S_z(const double_pendulum_energy_and_path_model *model,
+    const double_pendulum_energy_and_path_input *in, double *S, double *z)
 {
     double new_S[4];
     double new_z[2];
@@ -1697,7 +1854,8 @@ const double_pendulum_energy_and_path_params double_pendulum_energy_and_path_par
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_failed(int status, const double_pendulum_energy_and_path_input *in, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_COLD int double_pendulum_energy_and_path_failed(int status,
+    const double_pendulum_energy_and_path_input *in, double_pendulum_energy_and_path_info *info)
 {
     return double_pendulum_energy_and_path_refuse(double_pendulum_energy_and_path_reason(status, in), info);
 }
@@ -1707,7 +1865,8 @@ int double_pendulum_energy_and_path_pinv(const double *S, double *S_pinv, double
     return double_pendulum_energy_and_path_pinv_core(S, S_pinv, info);
 }
 
-int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info)
+int double_pendulum_energy_and_path_control(const double_pendulum_energy_and_path_model *model,
+    const double_pendulum_energy_and_path_input *in, double *tau, double_pendulum_energy_and_path_info *info)
 {
     double S[4], z[2];
     double mass_pivot[1], mass_scale[1];

@@ -11,22 +11,63 @@
 #error "build double_pendulum_energy_free_y_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 2, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOINLINE
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS 23
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS 127
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT (-16384)
+/* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SUBNORMAL_LIFT 32
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 1 x 2, row-major: one row s, s^T / (s s^T) ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_CONSISTENCY 1.9073486e-6f
+/* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SQUARE_LOW 190
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_LOW 63 /* lowest exponent of the task z - s y for the short form */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_HIGH 190 /* highest exponent of a step of refinement */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN 127 /* from either lowest to the highest: a power of two less one */
+/* exponents of the square of tau that can be multiplied by s s^T */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TAU_LOW 37
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TAU_HIGH 217
+/* 16 eps: rounding errors of y in the task, over the task */
+#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOISE 1.9073486e-6f
+
+typedef union double_pendulum_energy_free_y_f32_word {
     float value;
     uint32_t bits;
 } double_pendulum_energy_free_y_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t double_pendulum_energy_free_y_f32_magnitude(float x)
 {
     double_pendulum_energy_free_y_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t double_pendulum_energy_free_y_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +106,20 @@ static float double_pendulum_energy_free_y_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL - 1u))
+        | DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +127,8 @@ static float double_pendulum_energy_free_y_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +148,13 @@ static int double_pendulum_energy_free_y_f32_reduce_far(float x, float *hi, floa
     float a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_energy_free_y_f32_word word;
     const uint32_t magnitude = double_pendulum_energy_free_y_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +197,8 @@ static int double_pendulum_energy_free_y_f32_reduce_far(float x, float *hi, floa
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_energy_free_y_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = double_pendulum_energy_free_y_f32_magnitude(x);
@@ -169,7 +215,8 @@ static inline int double_pendulum_energy_free_y_f32_reduce(float x, float *hi, f
         return quadrant;
     }
     {
-        double_pendulum_energy_free_y_f32_word nearest; /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        double_pendulum_energy_free_y_f32_word nearest;
         float k, head, tail;
         nearest.value = x * 0.63661975f + 12582912.0f;
         k = nearest.value - 12582912.0f;
@@ -204,11 +251,12 @@ static float double_pendulum_energy_free_y_f32_cos(float x)
 {
     float hi, lo, value;
     const int quadrant = double_pendulum_energy_free_y_f32_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_energy_free_y_f32_sin_near(hi, lo) : double_pendulum_energy_free_y_f32_cos_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_energy_free_y_f32_sin_near(hi, lo)
+        : double_pendulum_energy_free_y_f32_cos_near(hi, lo);
     return ((quadrant + 1) & 2) != 0 ? -value : value;
 }
 
-typedef struct {
+typedef struct double_pendulum_energy_free_y_f32_pair {
     float sin, cos;
 } double_pendulum_energy_free_y_f32_pair;
 
@@ -235,98 +283,91 @@ static double_pendulum_energy_free_y_f32_pair double_pendulum_energy_free_y_f32_
 }
 
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL
-#endif
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN to DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX, by
+   writing its exponent. */
 static float double_pendulum_energy_free_y_f32_power(int k)
 {
     double_pendulum_energy_free_y_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits =
+        (uint32_t)(k
+        + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS) << DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float double_pendulum_energy_free_y_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN && k <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX) {
         return x * double_pendulum_energy_free_y_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= double_pendulum_energy_free_y_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_energy_free_y_f32_power(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_energy_free_y_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_energy_free_y_f32_power(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN
+            + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_MIN;
     }
     return x * double_pendulum_energy_free_y_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|;
+   DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT for zero. */
 static int double_pendulum_energy_free_y_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALLEST_NORMAL) {
         double_pendulum_energy_free_y_f32_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_energy_free_y_f32_magnitude(word.value * double_pendulum_energy_free_y_f32_power(32));
-        lift = 32;
+        magnitude = double_pendulum_energy_free_y_f32_magnitude(word.value
+            * double_pendulum_energy_free_y_f32_power(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS)
+        - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_EXPONENT_BIAS - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t double_pendulum_energy_free_y_f32_biased(float x)
 {
     double_pendulum_energy_free_y_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t double_pendulum_energy_free_y_f32_biased_square(float square)
 {
     double_pendulum_energy_free_y_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_energy_free_y_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_energy_free_y_f32_refuse(int status, double_pendulum_energy_free_y_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -335,17 +376,19 @@ static int double_pendulum_energy_free_y_f32_refuse(int status, double_pendulum_
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.91e-06 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_energy_free_y_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int double_pendulum_energy_free_y_f32_consistent(const float *S, const float *z, const float *y,
+    const float *tau, float *residual)
 {
     int tau_unit = double_pendulum_energy_free_y_f32_exponent(double_pendulum_energy_free_y_f32_largest(tau, 2));
     float t[2], rest[1];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[1];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -353,9 +396,10 @@ static int double_pendulum_energy_free_y_f32_consistent(const float *S, const fl
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : double_pendulum_energy_free_y_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT
+            ? 0.0f : double_pendulum_energy_free_y_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT) {
             const float yj = double_pendulum_energy_free_y_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -363,19 +407,23 @@ static int double_pendulum_energy_free_y_f32_consistent(const float *S, const fl
     norm = double_pendulum_energy_free_y_f32_sqrt(norm) + double_pendulum_energy_free_y_f32_sqrt(y_square);
     for (i = 0; i < 1; ++i) {
         const float *const row = S + 2 * i;
-        const int row_unit = double_pendulum_energy_free_y_f32_exponent(double_pendulum_energy_free_y_f32_largest(row, 2));
-        const int z_unit = double_pendulum_energy_free_y_f32_exponent(double_pendulum_energy_free_y_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int row_unit = double_pendulum_energy_free_y_f32_exponent(
+            double_pendulum_energy_free_y_f32_largest(row, 2));
+        const int z_unit = double_pendulum_energy_free_y_f32_exponent(
+            double_pendulum_energy_free_y_f32_magnitude(z[i]));
+        const int product_unit = row_unit == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT
+            ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const float s = double_pendulum_energy_free_y_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -385,36 +433,40 @@ static int double_pendulum_energy_free_y_f32_consistent(const float *S, const fl
         }
         target = double_pendulum_energy_free_y_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.9073486e-6f * (scale * double_pendulum_energy_free_y_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_CONSISTENCY
+            * (scale * double_pendulum_energy_free_y_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT) {
             rest[i] = double_pendulum_energy_free_y_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : double_pendulum_energy_free_y_f32_shift(double_pendulum_energy_free_y_f32_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT
+        ? 0.0f : double_pendulum_energy_free_y_f32_shift(double_pendulum_energy_free_y_f32_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct double_pendulum_energy_free_y_f32_scaled_row {
     float s[2];
-    float square; /* s s^T */
+    float square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } double_pendulum_energy_free_y_f32_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
-static int double_pendulum_energy_free_y_f32_scale_row(const float *S, double_pendulum_energy_free_y_f32_scaled_row *row)
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
+static int double_pendulum_energy_free_y_f32_scale_row(const float *S,
+    double_pendulum_energy_free_y_f32_scaled_row *row)
 {
     double_pendulum_energy_free_y_f32_word word;
     int j;
     word.bits = double_pendulum_energy_free_y_f32_largest(S, 2);
-    if (word.bits >= UINT32_C(0x7f800000)) {
+    if (word.bits >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0f;
@@ -426,17 +478,21 @@ static int double_pendulum_energy_free_y_f32_scale_row(const float *S, double_pe
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
-static float double_pendulum_energy_free_y_f32_over_square(const double_pendulum_energy_free_y_f32_scaled_row *row, float a)
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
+static float double_pendulum_energy_free_y_f32_over_square(const double_pendulum_energy_free_y_f32_scaled_row *row,
+    float a)
 {
     return a / row->square;
 }
 
-static void double_pendulum_energy_free_y_f32_fill_info(const float *S, int status, int rank, float residual, double_pendulum_energy_free_y_f32_info *info)
+static void double_pendulum_energy_free_y_f32_fill_info(const float *S, int status, int rank, float residual,
+    double_pendulum_energy_free_y_f32_info *info)
 {
     const uint32_t magnitude = double_pendulum_energy_free_y_f32_largest(S, 2);
     const int unit = magnitude == 0 ? 0 : double_pendulum_energy_free_y_f32_exponent(magnitude);
-    const float square = double_pendulum_energy_free_y_f32_shift(S[0], -unit) * double_pendulum_energy_free_y_f32_shift(S[0], -unit) + double_pendulum_energy_free_y_f32_shift(S[1], -unit) * double_pendulum_energy_free_y_f32_shift(S[1], -unit);
+    const float square = double_pendulum_energy_free_y_f32_shift(S[0], -unit)
+        * double_pendulum_energy_free_y_f32_shift(S[0], -unit)
+        + double_pendulum_energy_free_y_f32_shift(S[1], -unit) * double_pendulum_energy_free_y_f32_shift(S[1], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -445,29 +501,37 @@ static void double_pendulum_energy_free_y_f32_fill_info(const float *S, int stat
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
+/* tau = y + s^T rest / (s s^T) with rest = target - s y. Where rest is larger than target, y points along the row and
+   most of that part is taken away again. What is left is small, but carries the rounding errors of y, which is large;
+   it takes one refinement to remove them. (Exponents are compared, which is enough and quicker.) */
 static int double_pendulum_energy_free_y_f32_cancels(float rest, float target)
 {
     return double_pendulum_energy_free_y_f32_biased(rest) > double_pendulum_energy_free_y_f32_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+/* Whether rest is so much larger than target (2^19 times) that the rounding errors of s y, up to 16 eps |rest|, may be
+   as large as the target itself. */
 static int double_pendulum_energy_free_y_f32_drowned(float rest, float target)
 {
-    return double_pendulum_energy_free_y_f32_biased(rest) >= double_pendulum_energy_free_y_f32_biased(target) + 19;
+    return double_pendulum_energy_free_y_f32_biased(rest)
+        >= double_pendulum_energy_free_y_f32_biased(target) + DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS - 4;
 }
 
-/* Whether they may be all that tau is, too: then one more. */
+/* Whether tau, too, may be nothing but such errors: |s| |tau| is no larger than they are. Then a second refinement is
+   due, which shows whether it is. Written so that a NaN answers yes. */
 static int double_pendulum_energy_free_y_f32_exhausted(float square, float tau_square, float rest)
 {
-    const float noise = rest * 1.9073486e-6f;
+    const float noise = rest * DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOISE;
     return !(square * tau_square > noise * noise);
 }
 
-/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
-static float double_pendulum_energy_free_y_f32_refine_row(const double_pendulum_energy_free_y_f32_scaled_row *row, float target, int unit, float *answer)
+/* One refinement: what the answer leaves of the task is solved for and added, answer += s^T (target - s answer) / (s
+   s^T). answer is as it is, target in units of 2^(unit + row->unit). Returns the factor of s^T, in units of 2^unit. */
+static float double_pendulum_energy_free_y_f32_refine_row(const double_pendulum_energy_free_y_f32_scaled_row *row,
+    float target, int unit, float *answer)
 {
-    const float rest = target - (row->s[0] * double_pendulum_energy_free_y_f32_shift(answer[0], -unit) + row->s[1] * double_pendulum_energy_free_y_f32_shift(answer[1], -unit));
+    const float rest = target - (row->s[0] * double_pendulum_energy_free_y_f32_shift(answer[0], -unit)
+        + row->s[1] * double_pendulum_energy_free_y_f32_shift(answer[1], -unit));
     const float scale = rest * (1.0f / row->square);
     int j;
     for (j = 0; j < 2; ++j) {
@@ -476,8 +540,11 @@ static float double_pendulum_energy_free_y_f32_refine_row(const double_pendulum_
     return scale;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_scaled(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     double_pendulum_energy_free_y_f32_scaled_row row;
     float answer[2];
@@ -485,36 +552,44 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     float rest, target, scale;
     float t_0, t_1;
     int refine, apart;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT;
     int status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
     int own, j;
-    if (!double_pendulum_energy_free_y_f32_scale_row(S, &row) || double_pendulum_energy_free_y_f32_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
-        (y != NULL && double_pendulum_energy_free_y_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
+    if (!double_pendulum_energy_free_y_f32_scale_row(S, &row)
+            || double_pendulum_energy_free_y_f32_magnitude(z[0]) >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS ||
+        (y != NULL && double_pendulum_energy_free_y_f32_largest(y, 2)
+            >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS)) {
         return double_pendulum_energy_free_y_f32_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE, info);
     }
     if (y != NULL) {
         unit = double_pendulum_energy_free_y_f32_exponent(double_pendulum_energy_free_y_f32_largest(y, 2));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = double_pendulum_energy_free_y_f32_exponent(double_pendulum_energy_free_y_f32_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT) {
         unit = 0;
     }
     target = double_pendulum_energy_free_y_f32_shift(z[0], -unit - row.unit);
-    /* too small for the unit of y: what is z's is added in its own */
-    apart = row.rank && own != -16384 && double_pendulum_energy_free_y_f32_biased(target) < 31;
+    /* beside a huge y, z would lose bits in the unit of y: then it is left out here, and its part of the answer is
+       added at the end, in a unit of its own */
+    apart = row.rank && own != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT
+        && double_pendulum_energy_free_y_f32_biased(target) < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS + 8;
     if (apart) {
         target = 0.0f;
     }
     rest = target;
     if (y != NULL) {
-        rest -= row.s[0] * double_pendulum_energy_free_y_f32_shift(y[0], -unit) + row.s[1] * double_pendulum_energy_free_y_f32_shift(y[1], -unit);
+        rest -= row.s[0] * double_pendulum_energy_free_y_f32_shift(y[0], -unit)
+            + row.s[1] * double_pendulum_energy_free_y_f32_shift(y[1], -unit);
     }
     refine = y != NULL && row.rank && double_pendulum_energy_free_y_f32_cancels(rest, target);
-    /* what is refined takes the reciprocal twice, as in the short form */
-    scale = refine ? rest * (1.0f / row.square) : row.rank ? double_pendulum_energy_free_y_f32_over_square(&row, rest) : 0.0f;
+    /* where a refinement follows, the reciprocal is taken once and used twice, as in the short form: for the same
+       bits */
+    scale = refine ? rest * (1.0f / row.square) : row.rank
+        ? double_pendulum_energy_free_y_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 2; ++j) {
         answer[j] = double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, unit);
         if (y != NULL) {
@@ -525,30 +600,35 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
         (void)double_pendulum_energy_free_y_f32_refine_row(&row, target, unit, answer);
         t_0 = double_pendulum_energy_free_y_f32_shift(answer[0], -unit);
         t_1 = double_pendulum_energy_free_y_f32_shift(answer[1], -unit);
-        if (double_pendulum_energy_free_y_f32_drowned(rest, target) && double_pendulum_energy_free_y_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
+        if (double_pendulum_energy_free_y_f32_drowned(rest, target)
+                && double_pendulum_energy_free_y_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1, rest)) {
             const float more = double_pendulum_energy_free_y_f32_refine_row(&row, target, unit, answer);
-            if (double_pendulum_energy_free_y_f32_magnitude(double_pendulum_energy_free_y_f32_shift(4.0f * more, unit)) > double_pendulum_energy_free_y_f32_largest(answer, 2)) {
-                /* rounding errors twice over: nothing of y is left */
+            if (double_pendulum_energy_free_y_f32_magnitude(double_pendulum_energy_free_y_f32_shift(4.0f * more, unit))
+                    > double_pendulum_energy_free_y_f32_largest(answer, 2)) {
+                /* the second refinement still moved tau by a quarter of its size: what was left of y is rounding
+                   errors and nothing else, so it is dropped */
                 for (j = 0; j < 2; ++j) {
                     answer[j] = 0.0f;
                 }
-                apart = own != -16384;
+                apart = own != DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NO_EXPONENT;
             }
         }
     }
     if (apart) {
-        scale = double_pendulum_energy_free_y_f32_over_square(&row, double_pendulum_energy_free_y_f32_shift(z[0], -own));
+        scale = double_pendulum_energy_free_y_f32_over_square(&row,
+            double_pendulum_energy_free_y_f32_shift(z[0], -own));
         for (j = 0; j < 2; ++j) {
             answer[j] += double_pendulum_energy_free_y_f32_shift(row.s[j] * scale, own - row.unit);
         }
     }
-    if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS) {
         return double_pendulum_energy_free_y_f32_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
         const int met = double_pendulum_energy_free_y_f32_consistent(S, z, y, answer, &residual);
         if (!row.rank) {
-            status = met ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -560,7 +640,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
+/* S+ = s^T / (s s^T), scaled, where the short form does not apply. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_pinv_scaled(const float *S,
+    float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
 {
     double_pendulum_energy_free_y_f32_scaled_row row;
     float answer[2];
@@ -569,12 +651,14 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
         return double_pendulum_energy_free_y_f32_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE, info);
     }
     for (j = 0; j < 2; ++j) {
-        answer[j] = row.rank ? double_pendulum_energy_free_y_f32_shift(double_pendulum_energy_free_y_f32_over_square(&row, row.s[j]), -row.unit) : 0.0f;
+        answer[j] = row.rank ? double_pendulum_energy_free_y_f32_shift(
+            double_pendulum_energy_free_y_f32_over_square(&row, row.s[j]), -row.unit) : 0.0f;
     }
-    if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_energy_free_y_f32_largest(answer, 2) >= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS) {
         return double_pendulum_energy_free_y_f32_refuse(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW, info);
     }
-    status = row.rank ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK : DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_CONSISTENT;
+    status = row.rank ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK
+        : DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_RANK_DEFICIENT_CONSISTENT;
     if (info != NULL) {
         double_pendulum_energy_free_y_f32_fill_info(S, status, row.rank, 0.0f, info);
     }
@@ -584,17 +668,22 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return status;
 }
 
-/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN where
+   it fits, more where it is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN and
+   infinity never fit. The exponent is taken with one bit of the fraction, so that the range of squares has as many
+   steps as that of tasks. Both spans are then the same power of two less one, and the two answers, joined by |, need
+   one comparison. */
 static uint32_t double_pendulum_energy_free_y_f32_outside(float square)
 {
     double_pendulum_energy_free_y_f32_word word;
     word.value = square;
-    word.bits >>= 22;
-    return word.bits - 190;
+    word.bits >>= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_FRACTION_BITS - 1;
+    return word.bits - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SQUARE_LOW;
 }
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_short_info(float square, float residual, double_pendulum_energy_free_y_f32_info *info)
+/* Fills *info for the short form, which is taken at full rank only. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_short_info(float square,
+    float residual, double_pendulum_energy_free_y_f32_info *info)
 {
     info->status = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
     info->path = DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_PATH_CLOSED_FORM;
@@ -605,17 +694,23 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_values(float s_0, float s_1, float target, float *tau, double_pendulum_energy_free_y_f32_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_solve_values(float s_0, float s_1,
+    float target, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     const float S[2] = {s_0, s_1};
     return double_pendulum_energy_free_y_f32_solve_scaled(S, &target, NULL, tau, info);
 }
 
-/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART int double_pendulum_energy_free_y_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info, float square, float rest)
+/* tau = y + s^T rest / (s s^T), rest = target - s y, and one refinement, where y cancels and leaves its rounding
+   errors. What does not fit its ranges, or needs a second refinement, goes to the scaled form. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NOINLINE int double_pendulum_energy_free_y_f32_solve_refined(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info, float square, float rest)
 {
-    if ((double_pendulum_energy_free_y_f32_outside(square) | (double_pendulum_energy_free_y_f32_biased(rest) - 63)) <= 127) {
+    if ((double_pendulum_energy_free_y_f32_outside(square)
+            | (double_pendulum_energy_free_y_f32_biased(rest) - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_LOW))
+            <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN) {
         const float s_0 = S[0];
         const float s_1 = S[1];
         const float target = z[0];
@@ -628,10 +723,12 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART int double_pendulum_energy_free_y
         t_0 += s_0 * more;
         t_1 += s_1 * more;
         tau_square = t_0 * t_0 + t_1 * t_1;
-        /* a larger step could carry tau out of range */
-        if (double_pendulum_energy_free_y_f32_biased(more) <= 190 &&
+        /* a larger step could carry tau out of the range of the type */
+        if (double_pendulum_energy_free_y_f32_biased(more) <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_HIGH &&
             (!double_pendulum_energy_free_y_f32_drowned(rest, target) ||
-             (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased_square(tau_square), 37, 217) && !double_pendulum_energy_free_y_f32_exhausted(square, tau_square, rest)))) {
+             (double_pendulum_energy_free_y_f32_within(double_pendulum_energy_free_y_f32_biased_square(tau_square),
+                 DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TAU_LOW, DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TAU_HIGH)
+                 && !double_pendulum_energy_free_y_f32_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             if (info != NULL) {
@@ -643,7 +740,8 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_APART int double_pendulum_energy_free_y
     return double_pendulum_energy_free_y_f32_solve_scaled(S, z, y, tau, info);
 }
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL int double_pendulum_energy_free_y_f32_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE int double_pendulum_energy_free_y_f32_solve_core(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
@@ -654,8 +752,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL int double_pendulum_energy_free_y
         const float y_1 = y[1];
         const float rest = target - (s_0 * y_0 + s_1 * y_1);
         const uint32_t size = double_pendulum_energy_free_y_f32_biased(rest);
-        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
-        if ((double_pendulum_energy_free_y_f32_outside(square) | (size - 63) | (double_pendulum_energy_free_y_f32_biased(target) - size)) > 127) {
+        /* each of the three differences is unsigned: what is out of its range, and a rest larger than the target, for
+           which y cancels, sets bits above those of the span */
+        if ((double_pendulum_energy_free_y_f32_outside(square) | (size - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_LOW)
+                | (double_pendulum_energy_free_y_f32_biased(target) - size))
+                > DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN) {
             return double_pendulum_energy_free_y_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
         const float scale = rest / square;
@@ -668,7 +769,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL int double_pendulum_energy_free_y
         }
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
     }
-    if ((double_pendulum_energy_free_y_f32_outside(square) | (double_pendulum_energy_free_y_f32_biased(target) - 63)) <= 127) {
+    if ((double_pendulum_energy_free_y_f32_outside(square)
+            | (double_pendulum_energy_free_y_f32_biased(target) - DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_TASK_LOW))
+            <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
         const float t_1 = s_1 * scale;
@@ -682,11 +785,12 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL int double_pendulum_energy_free_y
     return double_pendulum_energy_free_y_f32_solve_values(s_0, s_1, target, tau, info);
 }
 
-static int double_pendulum_energy_free_y_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_energy_free_y_f32_info *info)
+static int double_pendulum_energy_free_y_f32_pinv_core(const float *S, float *S_pinv,
+    double_pendulum_energy_free_y_f32_info *info)
 {
     const float square = S[0] * S[0] + S[1] * S[1];
     int j;
-    if (double_pendulum_energy_free_y_f32_outside(square) <= 127) {
+    if (double_pendulum_energy_free_y_f32_outside(square) <= DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SPAN) {
         if (info != NULL) {
             (void)double_pendulum_energy_free_y_f32_short_info(square, 0.0f, info);
         }
@@ -698,7 +802,7 @@ static int double_pendulum_energy_free_y_f32_pinv_core(const float *S, float *S_
     return double_pendulum_energy_free_y_f32_pinv_scaled(S, S_pinv, info);
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_energy_free_y_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -709,10 +813,12 @@ static void double_pendulum_energy_free_y_f32_copy(const float *from, float *to,
 
 static int double_pendulum_energy_free_y_f32_finite(const float *x, int n)
 {
-    return double_pendulum_energy_free_y_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return double_pendulum_energy_free_y_f32_largest(x, n) < DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry,
+   scale. Pivots come in the order of elimination, and the first bad one decides: those behind it have been divided by
+   noise. */
 static int double_pendulum_energy_free_y_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -727,7 +833,7 @@ static int double_pendulum_energy_free_y_f32_mass_status(const float *pivot, con
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_energy_free_y_f32_input_finite(const double_pendulum_energy_free_y_f32_input *in)
 {
     return double_pendulum_energy_free_y_f32_finite(in->q, 2)
@@ -735,8 +841,10 @@ static int double_pendulum_energy_free_y_f32_input_finite(const double_pendulum_
            && double_pendulum_energy_free_y_f32_finite(&in->E_0, 1);
 }
 
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_reason(int status, const double_pendulum_energy_free_y_f32_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_reason(int status,
+    const double_pendulum_energy_free_y_f32_input *in)
 {
     if (!double_pendulum_energy_free_y_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE;
@@ -744,8 +852,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_
     return status == DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE ? DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_psi(
+    const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in,
+    float *psi)
 {
+    /* towards psi */
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
     const float t2 = model->c0 * t1;
@@ -769,9 +880,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S(
+    const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
 {
     (void)model;
+    /* towards S */
     const float t0 = in->u[1] - in->u[0];
     /* S = psi_u Q^-1 G, Eq. (8) */
     S[0] = in->u[0];
@@ -779,8 +892,10 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_z(
+    const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
 {
+    /* towards z */
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
     const float t2 = model->c0 * t1;
@@ -804,8 +919,11 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S_z(
+    const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S,
+    float *z)
 {
+    /* towards z */
     const float t0 = in->q[0] - in->q[1];
     const float t1 = double_pendulum_energy_free_y_f32_cos(t0);
     const float t2 = model->c0 * t1;
@@ -824,6 +942,7 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
     const float t15 = t12 - t14;
     const float t16 = t15 - in->E_0;
     const float t17 = t6 + t16;
+    /* towards S */
     const float t18 = in->u[1] - in->u[0];
     /* S = psi_u Q^-1 G, Eq. (8) */
     S[0] = in->u[0];
@@ -833,16 +952,22 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
 }
 
 
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_y_f32_eval_S_z_y(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z, float *y)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S_z_y(
+    const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S,
+    float *z, float *y)
 {
+    /* towards z, y */
     const float t0 = in->q[0] - in->q[1];
     const double_pendulum_energy_free_y_f32_pair t1 = double_pendulum_energy_free_y_f32_sincos(t0);
     const float t2 = model->c0 * t1.cos;
+    /* towards z */
     const float t3 = in->u[1] * t2;
     const float t4 = model->c2 * in->u[0];
     const float t5 = t3 + t4;
     const float t6 = in->u[0] * t5;
+    /* towards z, y */
     const float t7 = in->u[1] * in->u[1];
+    /* towards z */
     const float t8 = model->c7 * t7;
     const float t9 = model->c5 + t8;
     const double_pendulum_energy_free_y_f32_pair t10 = double_pendulum_energy_free_y_f32_sincos(in->q[0]);
@@ -853,7 +978,9 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
     const float t15 = t12 - t14;
     const float t16 = t15 - in->E_0;
     const float t17 = t6 + t16;
+    /* towards S */
     const float t18 = in->u[1] - in->u[0];
+    /* towards y */
     const float t19 = model->c3 * t10.sin;
     const float t20 = model->c0 * t1.sin;
     const float t21 = t7 * t20;
@@ -900,7 +1027,8 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_SMALL void double_pendulum_energy_free_
 }
 
 
-int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_y_f32_params *params, double_pendulum_energy_free_y_f32_model *model)
+int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_y_f32_params *params,
+    double_pendulum_energy_free_y_f32_model *model)
 {
     double_pendulum_energy_free_y_f32_model ready;
     float mass_pivot[1], mass_scale[1];
@@ -1017,7 +1145,8 @@ int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-int double_pendulum_energy_free_y_f32_psi(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *psi)
+int double_pendulum_energy_free_y_f32_psi(const double_pendulum_energy_free_y_f32_model *model,
+    const double_pendulum_energy_free_y_f32_input *in, float *psi)
 {
     float new_psi[1];
     double_pendulum_energy_free_y_f32_eval_psi(model, in, new_psi);
@@ -1028,10 +1157,12 @@ int double_pendulum_energy_free_y_f32_psi(const double_pendulum_energy_free_y_f3
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-int double_pendulum_energy_free_y_f32_S(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
+int double_pendulum_energy_free_y_f32_S(const double_pendulum_energy_free_y_f32_model *model,
+    const double_pendulum_energy_free_y_f32_input *in, float *S)
 {
     float new_S[2];
-    if (!(double_pendulum_energy_free_y_f32_finite(in->q, 2) && double_pendulum_energy_free_y_f32_finite(&in->E_0, 1))) {
+    if (!(double_pendulum_energy_free_y_f32_finite(in->q, 2)
+            && double_pendulum_energy_free_y_f32_finite(&in->E_0, 1))) {
         return double_pendulum_energy_free_y_f32_reason(DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_NONFINITE, in);
     }
     double_pendulum_energy_free_y_f32_eval_S(model, in, new_S);
@@ -1042,7 +1173,8 @@ int double_pendulum_energy_free_y_f32_S(const double_pendulum_energy_free_y_f32_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-int double_pendulum_energy_free_y_f32_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
+int double_pendulum_energy_free_y_f32_z(const double_pendulum_energy_free_y_f32_model *model,
+    const double_pendulum_energy_free_y_f32_input *in, float *z)
 {
     float new_z[1];
     double_pendulum_energy_free_y_f32_eval_z(model, in, new_z);
@@ -1053,7 +1185,8 @@ int double_pendulum_energy_free_y_f32_z(const double_pendulum_energy_free_y_f32_
     return DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_OK;
 }
 
-int double_pendulum_energy_free_y_f32_S_z(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
+int double_pendulum_energy_free_y_f32_S_z(const double_pendulum_energy_free_y_f32_model *model,
+    const double_pendulum_energy_free_y_f32_input *in, float *S, float *z)
 {
     float new_S[2];
     float new_z[1];
@@ -1076,7 +1209,8 @@ const double_pendulum_energy_free_y_f32_params double_pendulum_energy_free_y_f32
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_failed(int status, const double_pendulum_energy_free_y_f32_input *in, double_pendulum_energy_free_y_f32_info *info)
+static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_COLD int double_pendulum_energy_free_y_f32_failed(int status,
+    const double_pendulum_energy_free_y_f32_input *in, double_pendulum_energy_free_y_f32_info *info)
 {
     return double_pendulum_energy_free_y_f32_refuse(double_pendulum_energy_free_y_f32_reason(status, in), info);
 }
@@ -1086,7 +1220,8 @@ int double_pendulum_energy_free_y_f32_pinv(const float *S, float *S_pinv, double
     return double_pendulum_energy_free_y_f32_pinv_core(S, S_pinv, info);
 }
 
-int double_pendulum_energy_free_y_f32_control(const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *tau, double_pendulum_energy_free_y_f32_info *info)
+int double_pendulum_energy_free_y_f32_control(const double_pendulum_energy_free_y_f32_model *model,
+    const double_pendulum_energy_free_y_f32_input *in, float *tau, double_pendulum_energy_free_y_f32_info *info)
 {
     float S[2], z[1], y[2];
     int status;

@@ -11,22 +11,63 @@
 #error "build double_pendulum_ideal_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_F32_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_F32_NOINLINE
+#define DOUBLE_PENDULUM_IDEAL_F32_COLD
+#define DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS 23
+#define DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS 127
+#define DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT (-16384)
+#define DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_IDEAL_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of G, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   From here to the end of the solver G is called S, R is called z.
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define DOUBLE_PENDULUM_IDEAL_F32_CONSISTENCY 1.9073486e-6f /* a row whose relative residual is at most this is met */
+/* singular values at or below this part of the largest count as zero */
+#define DOUBLE_PENDULUM_IDEAL_F32_RTOL 2.3841858e-7f
+#define DOUBLE_PENDULUM_IDEAL_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_F32_SQUARE_HIGH_0 167
+#define DOUBLE_PENDULUM_IDEAL_F32_SQUARE_LOW_1 87 /* exponents of row 1's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_F32_SQUARE_HIGH_1 167
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define DOUBLE_PENDULUM_IDEAL_F32_NORMAL_LIMIT 41285.094f
+#define DOUBLE_PENDULUM_IDEAL_F32_QR_LIMIT 615726500000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+typedef union double_pendulum_ideal_f32_word {
     float value;
     uint32_t bits;
 } double_pendulum_ideal_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t double_pendulum_ideal_f32_magnitude(float x)
 {
     double_pendulum_ideal_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & DOUBLE_PENDULUM_IDEAL_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t double_pendulum_ideal_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +106,18 @@ static float double_pendulum_ideal_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL - 1u)) | DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +125,8 @@ static float double_pendulum_ideal_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +146,13 @@ static int double_pendulum_ideal_f32_reduce_far(float x, float *hi, float *lo)
     float a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_ideal_f32_word word;
     const uint32_t magnitude = double_pendulum_ideal_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +195,8 @@ static int double_pendulum_ideal_f32_reduce_far(float x, float *hi, float *lo)
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_ideal_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_magnitude(x);
@@ -169,7 +213,8 @@ static inline int double_pendulum_ideal_f32_reduce(float x, float *hi, float *lo
         return quadrant;
     }
     {
-        double_pendulum_ideal_f32_word nearest; /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        double_pendulum_ideal_f32_word nearest;
         float k, head, tail;
         nearest.value = x * 0.63661975f + 12582912.0f;
         k = nearest.value - 12582912.0f;
@@ -204,11 +249,12 @@ static float double_pendulum_ideal_f32_cos(float x)
 {
     float hi, lo, value;
     const int quadrant = double_pendulum_ideal_f32_reduce(x, &hi, &lo);
-    value = (quadrant & 1) != 0 ? double_pendulum_ideal_f32_sin_near(hi, lo) : double_pendulum_ideal_f32_cos_near(hi, lo);
+    value = (quadrant & 1) != 0 ? double_pendulum_ideal_f32_sin_near(hi, lo)
+        : double_pendulum_ideal_f32_cos_near(hi, lo);
     return ((quadrant + 1) & 2) != 0 ? -value : value;
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_f32_pair {
     float sin, cos;
 } double_pendulum_ideal_f32_pair;
 
@@ -235,59 +281,59 @@ static double_pendulum_ideal_f32_pair double_pendulum_ideal_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_F32_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN to DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX, by writing its
+   exponent. */
 static float double_pendulum_ideal_f32_power(int k)
 {
     double_pendulum_ideal_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS) << DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float double_pendulum_ideal_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN && k <= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX) {
         return x * double_pendulum_ideal_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= double_pendulum_ideal_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_ideal_f32_power(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_ideal_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_ideal_f32_power(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN
+            + DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN + DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN;
     }
     return x * double_pendulum_ideal_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+   for zero. */
 static int double_pendulum_ideal_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL) {
         double_pendulum_ideal_f32_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_ideal_f32_magnitude(word.value * double_pendulum_ideal_f32_power(32));
-        lift = 32;
+        magnitude = double_pendulum_ideal_f32_magnitude(word.value
+            * double_pendulum_ideal_f32_power(DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS
+        - lift;
 }
 
 static float double_pendulum_ideal_f32_abs(float x)
@@ -295,51 +341,54 @@ static float double_pendulum_ideal_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t double_pendulum_ideal_f32_biased_square(float square)
 {
     double_pendulum_ideal_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_ideal_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
-#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+#define DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define DOUBLE_PENDULUM_IDEAL_F32_NEAR inline __attribute__((always_inline))
-#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+#define DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_IDEAL_F32_UNROLL
 #elif defined(__clang__)
-#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
-#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT /* it does so by itself */
+#define DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define DOUBLE_PENDULUM_IDEAL_F32_NEAR
-#define DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static DOUBLE_PENDULUM_IDEAL_F32_NEAR void double_pendulum_ideal_f32_spread(const float *restrict v, float factor, float *restrict w)
+static DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS void double_pendulum_ideal_f32_spread(const float *restrict v,
+    float factor, float *restrict w)
 {
     int k;
-    DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+    DOUBLE_PENDULUM_IDEAL_F32_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-static DOUBLE_PENDULUM_IDEAL_F32_NEAR float double_pendulum_ideal_f32_inner(const float *a, const float *b)
+static DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS float double_pendulum_ideal_f32_inner(const float *a,
+    const float *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
 } double_pendulum_ideal_f32_normal;
@@ -347,8 +396,8 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendulum_ideal_f32_normal *f)
 {
     const float g_0_0 = double_pendulum_ideal_f32_inner(B, B);
@@ -358,25 +407,28 @@ static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendul
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_0_0), 87, 167) || !double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_1_1), 87, 167)) {
+    if (!double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_0_0),
+            DOUBLE_PENDULUM_IDEAL_F32_SQUARE_LOW_0, DOUBLE_PENDULUM_IDEAL_F32_SQUARE_HIGH_0)
+            || !double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(g_1_1),
+            DOUBLE_PENDULUM_IDEAL_F32_SQUARE_LOW_1, DOUBLE_PENDULUM_IDEAL_F32_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     n_1_0 = double_pendulum_ideal_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= DOUBLE_PENDULUM_IDEAL_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -397,15 +449,16 @@ static void double_pendulum_ideal_f32_normal_solve(const double_pendulum_ideal_f
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct double_pendulum_ideal_f32_line {
     float p[2];
     float l[2];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } double_pendulum_ideal_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct double_pendulum_ideal_f32_qr {
     double_pendulum_ideal_f32_line line[2];
     double_pendulum_ideal_f32_line *at[2];
     float left[2];    /* squared length of at[k]->p */
@@ -416,7 +469,8 @@ typedef struct {
 } double_pendulum_ideal_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static DOUBLE_PENDULUM_IDEAL_F32_NEAR float double_pendulum_ideal_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS float double_pendulum_ideal_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -453,7 +507,7 @@ static void double_pendulum_ideal_f32_qr_reduce(double_pendulum_ideal_f32_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -486,8 +540,8 @@ static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_
     double_pendulum_ideal_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -501,10 +555,11 @@ static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f3
     n_1_0 = double_pendulum_ideal_f32_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
-    return bound * total < 615726500000.0f;
+    return bound * total < DOUBLE_PENDULUM_IDEAL_F32_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void double_pendulum_ideal_f32_triangle(float *t, int first, float *sigma)
 {
@@ -534,8 +589,8 @@ static void double_pendulum_ideal_f32_triangle(float *t, int first, float *sigma
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int double_pendulum_ideal_f32_svd(const double_pendulum_ideal_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -557,9 +612,9 @@ static int double_pendulum_ideal_f32_svd(const double_pendulum_ideal_f32_qr *f, 
     return 1;
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_f32_factors {
     float B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT where a row counts as zero */
     double_pendulum_ideal_f32_normal normal;
     double_pendulum_ideal_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -574,9 +629,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } double_pendulum_ideal_f32_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void double_pendulum_ideal_f32_undo_scaling(double_pendulum_ideal_f32_factors *f, int top)
 {
     float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -594,7 +650,7 @@ static void double_pendulum_ideal_f32_undo_scaling(double_pendulum_ideal_f32_fac
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0f :
+            F[2 * k + i] = exponent == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT ? 0.0f :
                 double_pendulum_ideal_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -671,18 +727,20 @@ static void double_pendulum_ideal_f32_undo_scaling(double_pendulum_ideal_f32_fac
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT. */
 static void double_pendulum_ideal_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 2 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX
+                && exponent[i] <= -DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN) {
             double_pendulum_ideal_f32_spread(row, double_pendulum_ideal_f32_power(-exponent[i]), B + 2 * i);
         } else {
             float shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : double_pendulum_ideal_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+                    ? 0.0f : double_pendulum_ideal_f32_shift(row[j], -exponent[i]);
             }
             double_pendulum_ideal_f32_spread(shifted, 1.0f, B + 2 * i);
         }
@@ -699,7 +757,8 @@ static int double_pendulum_ideal_f32_length(const float *row, int exponent)
         shifted[j] = double_pendulum_ideal_f32_shift(row[j], -exponent);
     }
     double_pendulum_ideal_f32_spread(shifted, 1.0f, padded);
-    return exponent + double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_magnitude(double_pendulum_ideal_f32_inner(padded, padded))) / 2;
+    return exponent + double_pendulum_ideal_f32_exponent(
+        double_pendulum_ideal_f32_magnitude(double_pendulum_ideal_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -745,8 +804,10 @@ static void double_pendulum_ideal_f32_vectors(double_pendulum_ideal_f32_factors 
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_svd(const float *S, double_pendulum_ideal_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factorise_svd(const float *S,
+    double_pendulum_ideal_f32_factors *f, int top, int bottom)
 {
     float u[4];
     int i;
@@ -756,7 +817,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_s
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 2.3841858e-7f * f->sigma[0];
+        f->rank += f->sigma[i] > DOUBLE_PENDULUM_IDEAL_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -764,7 +825,8 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_s
         if (f->rank > 0 && bottom != top) {
             double_pendulum_ideal_f32_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+                    ? DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT : top;
             }
             double_pendulum_ideal_f32_scale(S, f->exponent, f->B);
         }
@@ -773,21 +835,23 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise_s
 }
 
 /* The ladder, from the step `from` on. */
-static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(const float *S, double_pendulum_ideal_f32_factors *f, int from)
+static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factorise(const float *S,
+    double_pendulum_ideal_f32_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
+    int bottom = -DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_ideal_f32_word word;
         word.bits = double_pendulum_ideal_f32_largest(S + 2 * i, 2);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
             return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
         if (word.value > 0.0f) {
-            f->exponent[i] = double_pendulum_ideal_f32_length(S + 2 * i, double_pendulum_ideal_f32_exponent(word.bits));
+            f->exponent[i] = double_pendulum_ideal_f32_length(S + 2 * i,
+                double_pendulum_ideal_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -801,7 +865,8 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(c
         int known = 1;
         f->rank = 2;
         f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL;
-        if (from > DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL || double_pendulum_ideal_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL
+                || double_pendulum_ideal_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_QR;
             f->direct = 1;
             double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
@@ -818,7 +883,8 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_factorise(c
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static DOUBLE_PENDULUM_IDEAL_F32_APART float double_pendulum_ideal_f32_sigma_min(const float *S, double_pendulum_ideal_f32_factors *f)
+static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_sigma_min(const float *S,
+    double_pendulum_ideal_f32_factors *f)
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
@@ -835,12 +901,12 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART float double_pendulum_ideal_f32_sigma_min
     return double_pendulum_ideal_f32_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_f32_refuse(int status, double_pendulum_ideal_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -849,17 +915,19 @@ static int double_pendulum_ideal_f32_refuse(int status, double_pendulum_ideal_f3
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.91e-06 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_IDEAL_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_largest(tau, 2));
     float t[2], rest[2];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[2];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -867,9 +935,10 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : double_pendulum_ideal_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            ? 0.0f : double_pendulum_ideal_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             const float yj = double_pendulum_ideal_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -879,17 +948,19 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
         const float *const row = S + 2 * i;
         const int row_unit = double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_largest(row, 2));
         const int z_unit = double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            ? DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const float s = double_pendulum_ideal_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -899,24 +970,27 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
         }
         target = double_pendulum_ideal_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.9073486e-6f * (scale * double_pendulum_ideal_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = DOUBLE_PENDULUM_IDEAL_F32_CONSISTENCY
+            * (scale * double_pendulum_ideal_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             rest[i] = double_pendulum_ideal_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : double_pendulum_ideal_f32_shift(double_pendulum_ideal_f32_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+        ? 0.0f : double_pendulum_ideal_f32_shift(double_pendulum_ideal_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_qr *f, const float *restrict r,
+    float *restrict x, int careful)
 {
     const double_pendulum_ideal_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -934,12 +1008,13 @@ static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_q
 }
 
 /* x = S+ r from the normal equations. */
-static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f32_normal *f, const float *B,
+    const float *restrict r, float *restrict x)
 {
     float w[2];
     int j;
     double_pendulum_ideal_f32_normal_solve(f, r, w);
-    DOUBLE_PENDULUM_IDEAL_F32_WRITTEN_OUT
+    DOUBLE_PENDULUM_IDEAL_F32_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
@@ -947,7 +1022,8 @@ static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f
 
 
 /* x = S+ r, from the step of the ladder that held. */
-static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_factors *f, const float *r, float *x, int careful)
+static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_factors *f, const float *r, float *x,
+    int careful)
 {
     int i, j, k;
     if (f->path == DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL) {
@@ -975,7 +1051,8 @@ static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_fact
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv, double_pendulum_ideal_f32_info *info)
+static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_pinv_core(const float *S, float *S_pinv,
+    double_pendulum_ideal_f32_info *info)
 {
     double_pendulum_ideal_f32_factors f;
     float unit[2], x[2], answer[4];
@@ -988,7 +1065,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(c
         unit[i] = 0.0f;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         double_pendulum_ideal_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -996,7 +1073,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(c
             answer[2 * j + i] = zero_row ? 0.0f : double_pendulum_ideal_f32_shift(x[j], -f.exponent[i]);
         }
     }
-    if (double_pendulum_ideal_f32_largest(answer, 4) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_ideal_f32_largest(answer, 4) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return double_pendulum_ideal_f32_refuse(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, info);
     }
     status = f.rank < 2 ? DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_IDEAL_F32_OK;
@@ -1016,22 +1093,31 @@ static DOUBLE_PENDULUM_IDEAL_F32_APART int double_pendulum_ideal_f32_pinv_core(c
 
 typedef double_pendulum_ideal_f32_info double_pendulum_ideal_f32_reaction_info;
 
-/* ---- pseudo-inverse of S, 1 x 1, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* ---- pseudo-inverse of J Q^-1 J^T, 1 x 1, row-major: one row s, s^T / (s s^T) ----
+   From here to the end of the solver J Q^-1 J^T is called S, its right side is called z, the force of the constraints
+   is called tau. Its theory, with the sources, is servogen's numerics.md. */
 
-typedef union {
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_IDEAL_F32_REACTION_CONSISTENCY 9.536743e-7f
+/* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define DOUBLE_PENDULUM_IDEAL_F32_REACTION_SQUARE_LOW 190
+#define DOUBLE_PENDULUM_IDEAL_F32_REACTION_TASK_LOW 63 /* lowest exponent of the task z - s y for the short form */
+#define DOUBLE_PENDULUM_IDEAL_F32_REACTION_SPAN 127 /* from either lowest to the highest: a power of two less one */
+typedef union double_pendulum_ideal_f32_reaction_word {
     float value;
     uint32_t bits;
 } double_pendulum_ideal_f32_reaction_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t double_pendulum_ideal_f32_reaction_magnitude(float x)
 {
     double_pendulum_ideal_f32_reaction_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & DOUBLE_PENDULUM_IDEAL_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t double_pendulum_ideal_f32_reaction_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -1045,79 +1131,76 @@ static uint32_t double_pendulum_ideal_f32_reaction_largest(const float *x, int n
     return largest;
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_F32_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_IDEAL_F32_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_F32_COLD
-#define DOUBLE_PENDULUM_IDEAL_F32_SMALL
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN to DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX, by writing its
+   exponent. */
 static float double_pendulum_ideal_f32_reaction_power(int k)
 {
     double_pendulum_ideal_f32_reaction_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS) << DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float double_pendulum_ideal_f32_reaction_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN && k <= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX) {
         return x * double_pendulum_ideal_f32_reaction_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= double_pendulum_ideal_f32_reaction_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_ideal_f32_reaction_power(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_ideal_f32_reaction_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_ideal_f32_reaction_power(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN
+            + DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN + DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MIN;
     }
     return x * double_pendulum_ideal_f32_reaction_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+   for zero. */
 static int double_pendulum_ideal_f32_reaction_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL) {
         double_pendulum_ideal_f32_reaction_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_ideal_f32_reaction_magnitude(word.value * double_pendulum_ideal_f32_reaction_power(32));
-        lift = 32;
+        magnitude = double_pendulum_ideal_f32_reaction_magnitude(word.value
+            * double_pendulum_ideal_f32_reaction_power(DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_IDEAL_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_BIAS
+        - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t double_pendulum_ideal_f32_reaction_biased(float x)
 {
     double_pendulum_ideal_f32_reaction_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1);
 }
 
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_f32_reaction_refuse(int status, double_pendulum_ideal_f32_reaction_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -1126,27 +1209,31 @@ static int double_pendulum_ideal_f32_reaction_refuse(int status, double_pendulum
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 9.54e-07 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_IDEAL_F32_REACTION_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_ideal_f32_reaction_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int double_pendulum_ideal_f32_reaction_consistent(const float *S, const float *z, const float *y,
+    const float *tau, float *residual)
 {
     int tau_unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_largest(tau, 1));
     float t[1], rest[1];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[1];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
-        const int y_unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_largest(y, 1));
+        const int y_unit = double_pendulum_ideal_f32_reaction_exponent(
+            double_pendulum_ideal_f32_reaction_largest(y, 1));
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 1; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : double_pendulum_ideal_f32_reaction_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            ? 0.0f : double_pendulum_ideal_f32_reaction_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             const float yj = double_pendulum_ideal_f32_reaction_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1154,19 +1241,23 @@ static int double_pendulum_ideal_f32_reaction_consistent(const float *S, const f
     norm = double_pendulum_ideal_f32_sqrt(norm) + double_pendulum_ideal_f32_sqrt(y_square);
     for (i = 0; i < 1; ++i) {
         const float *const row = S + 1 * i;
-        const int row_unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_largest(row, 1));
-        const int z_unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int row_unit = double_pendulum_ideal_f32_reaction_exponent(
+            double_pendulum_ideal_f32_reaction_largest(row, 1));
+        const int z_unit = double_pendulum_ideal_f32_reaction_exponent(
+            double_pendulum_ideal_f32_reaction_magnitude(z[i]));
+        const int product_unit = row_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+            ? DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             for (j = 0; j < 1; ++j) {
                 const float s = double_pendulum_ideal_f32_reaction_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1176,36 +1267,40 @@ static int double_pendulum_ideal_f32_reaction_consistent(const float *S, const f
         }
         target = double_pendulum_ideal_f32_reaction_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 9.536743e-7f * (scale * double_pendulum_ideal_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = DOUBLE_PENDULUM_IDEAL_F32_REACTION_CONSISTENCY
+            * (scale * double_pendulum_ideal_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
             rest[i] = double_pendulum_ideal_f32_reaction_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT
+        ? 0.0f : double_pendulum_ideal_f32_reaction_shift(double_pendulum_ideal_f32_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct double_pendulum_ideal_f32_reaction_scaled_row {
     float s[1];
-    float square; /* s s^T */
+    float square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } double_pendulum_ideal_f32_reaction_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
-static int double_pendulum_ideal_f32_reaction_scale_row(const float *S, double_pendulum_ideal_f32_reaction_scaled_row *row)
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
+static int double_pendulum_ideal_f32_reaction_scale_row(const float *S,
+    double_pendulum_ideal_f32_reaction_scaled_row *row)
 {
     double_pendulum_ideal_f32_reaction_word word;
     int j;
     word.bits = double_pendulum_ideal_f32_reaction_largest(S, 1);
-    if (word.bits >= UINT32_C(0x7f800000)) {
+    if (word.bits >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0f;
@@ -1217,17 +1312,20 @@ static int double_pendulum_ideal_f32_reaction_scale_row(const float *S, double_p
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
-static float double_pendulum_ideal_f32_reaction_over_square(const double_pendulum_ideal_f32_reaction_scaled_row *row, float a)
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
+static float double_pendulum_ideal_f32_reaction_over_square(const double_pendulum_ideal_f32_reaction_scaled_row *row,
+    float a)
 {
     return a / row->square;
 }
 
-static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int status, int rank, float residual, double_pendulum_ideal_f32_reaction_info *info)
+static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int status, int rank, float residual,
+    double_pendulum_ideal_f32_reaction_info *info)
 {
     const uint32_t magnitude = double_pendulum_ideal_f32_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_f32_reaction_exponent(magnitude);
-    const float square = double_pendulum_ideal_f32_reaction_shift(S[0], -unit) * double_pendulum_ideal_f32_reaction_shift(S[0], -unit);
+    const float square = double_pendulum_ideal_f32_reaction_shift(S[0], -unit)
+        * double_pendulum_ideal_f32_reaction_shift(S[0], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -1236,31 +1334,36 @@ static void double_pendulum_ideal_f32_reaction_fill_info(const float *S, int sta
     info->residual = residual;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_scaled(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     double_pendulum_ideal_f32_reaction_scaled_row row;
     float answer[1];
     float residual = 0.0f;
     float rest, target, scale;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
     int status = DOUBLE_PENDULUM_IDEAL_F32_OK;
     int own, j;
-    if (!double_pendulum_ideal_f32_reaction_scale_row(S, &row) || double_pendulum_ideal_f32_reaction_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
-        (y != NULL && double_pendulum_ideal_f32_reaction_largest(y, 1) >= UINT32_C(0x7f800000))) {
+    if (!double_pendulum_ideal_f32_reaction_scale_row(S, &row)
+            || double_pendulum_ideal_f32_reaction_magnitude(z[0]) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS ||
+        (y != NULL && double_pendulum_ideal_f32_reaction_largest(y, 1) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS)) {
         return double_pendulum_ideal_f32_reaction_refuse(DOUBLE_PENDULUM_IDEAL_F32_NONFINITE, info);
     }
     if (row.rank) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* one equation for one unknown: the answer does not depend on y */
     }
     if (y != NULL) {
         unit = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_largest(y, 1));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = double_pendulum_ideal_f32_reaction_exponent(double_pendulum_ideal_f32_reaction_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
         unit = 0;
     }
     target = double_pendulum_ideal_f32_reaction_shift(z[0], -unit - row.unit);
@@ -1275,13 +1378,14 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
             answer[j] = y[j] + answer[j];
         }
     }
-    if (double_pendulum_ideal_f32_reaction_largest(answer, 1) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_ideal_f32_reaction_largest(answer, 1) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return double_pendulum_ideal_f32_reaction_refuse(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
         const int met = double_pendulum_ideal_f32_reaction_consistent(S, z, y, answer, &residual);
         if (!row.rank) {
-            status = met ? DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1293,17 +1397,22 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sol
     return status;
 }
 
-/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to DOUBLE_PENDULUM_IDEAL_F32_REACTION_SPAN
+   where it fits, more where it is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN
+   and infinity never fit. The exponent is taken with one bit of the fraction, so that the range of squares has as many
+   steps as that of tasks. Both spans are then the same power of two less one, and the two answers, joined by |, need
+   one comparison. */
 static uint32_t double_pendulum_ideal_f32_reaction_outside(float square)
 {
     double_pendulum_ideal_f32_reaction_word word;
     word.value = square;
-    word.bits >>= 22;
-    return word.bits - 190;
+    word.bits >>= DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS - 1;
+    return word.bits - DOUBLE_PENDULUM_IDEAL_F32_REACTION_SQUARE_LOW;
 }
 
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_short_info(float square, float residual, double_pendulum_ideal_f32_reaction_info *info)
+/* Fills *info for the short form, which is taken at full rank only. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_short_info(float square, float residual,
+    double_pendulum_ideal_f32_reaction_info *info)
 {
     info->status = DOUBLE_PENDULUM_IDEAL_F32_OK;
     info->path = DOUBLE_PENDULUM_IDEAL_F32_PATH_CLOSED_FORM;
@@ -1314,20 +1423,25 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_sho
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_values(float s_0, float target, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reaction_solve_values(float s_0, float target,
+    const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     const float S[1] = {s_0};
     return double_pendulum_ideal_f32_reaction_solve_scaled(S, &target, y, tau, info);
 }
 
-static DOUBLE_PENDULUM_IDEAL_F32_SMALL int double_pendulum_ideal_f32_reaction_solve_core(const float *S, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
+static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE int double_pendulum_ideal_f32_reaction_solve_core(const float *S,
+    const float *z, const float *y, float *tau, double_pendulum_ideal_f32_reaction_info *info)
 {
     const float s_0 = S[0];
     const float target = z[0];
     const float square = s_0 * s_0;
-    if ((double_pendulum_ideal_f32_reaction_outside(square) | (double_pendulum_ideal_f32_reaction_biased(target) - 63)) <= 127 &&
-        (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < UINT32_C(0x7f800000))) {
+    if ((double_pendulum_ideal_f32_reaction_outside(square)
+            | (double_pendulum_ideal_f32_reaction_biased(target) - DOUBLE_PENDULUM_IDEAL_F32_REACTION_TASK_LOW))
+            <= DOUBLE_PENDULUM_IDEAL_F32_REACTION_SPAN &&
+        (y == NULL || double_pendulum_ideal_f32_reaction_magnitude(y[0]) < DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS)) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
         tau[0] = t_0;
@@ -1340,7 +1454,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL int double_pendulum_ideal_f32_reaction_so
 }
 
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_ideal_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1351,10 +1465,11 @@ static void double_pendulum_ideal_f32_copy(const float *from, float *to, int n)
 
 static int double_pendulum_ideal_f32_finite(const float *x, int n)
 {
-    return double_pendulum_ideal_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return double_pendulum_ideal_f32_largest(x, n) < DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_IDEAL_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots
+   come in the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int double_pendulum_ideal_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1369,7 +1484,7 @@ static int double_pendulum_ideal_f32_mass_status(const float *pivot, const float
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_ideal_f32_input_finite(const double_pendulum_ideal_f32_input *in)
 {
     return double_pendulum_ideal_f32_finite(in->q, 2)
@@ -1377,18 +1492,10 @@ static int double_pendulum_ideal_f32_input_finite(const double_pendulum_ideal_f3
            && double_pendulum_ideal_f32_finite(&in->E_0, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_F32_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_IDEAL_F32_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_F32_COLD
-#define DOUBLE_PENDULUM_IDEAL_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(int status, const double_pendulum_ideal_f32_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(int status,
+    const double_pendulum_ideal_f32_input *in)
 {
     if (!double_pendulum_ideal_f32_input_finite(in)) {
         return DOUBLE_PENDULUM_IDEAL_F32_NONFINITE;
@@ -1396,8 +1503,10 @@ static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_reason(int s
     return status == DOUBLE_PENDULUM_IDEAL_F32_NONFINITE ? DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
+static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_psi(
+    const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
 {
+    /* towards psi */
     const float t0 = model->c1 * in->u[1];
     const float t1 = in->u[1] * t0;
     const float t2 = in->q[0] - in->q[1];
@@ -1425,8 +1534,10 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_psi(c
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
+static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_T(
+    const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
 {
+    /* towards T */
     const float t0 = model->c1 * in->u[1];
     const float t1 = in->q[0] - in->q[1];
     const float t2 = double_pendulum_ideal_f32_cos(t1);
@@ -1449,8 +1560,10 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_T(con
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
+static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_F(
+    const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
 {
+    /* towards F */
     const float t0 = model->c1 * in->u[1];
     const float t1 = in->u[1] * t0;
     const float t2 = in->q[0] - in->q[1];
@@ -1500,21 +1613,30 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_F(con
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix, float *reaction_right, float *J)
+static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(
+    const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix,
+    float *reaction_right, float *J)
 {
+    /* towards reaction_matrix, reaction_right, J */
     const float t0 = model->c1 * in->u[1];
+    /* towards reaction_matrix, reaction_right */
     const float t1 = in->u[1] * t0;
+    /* towards reaction_matrix, reaction_right, J */
     const float t2 = in->q[0] - in->q[1];
     const float t3 = double_pendulum_ideal_f32_cos(t2);
     const float t4 = model->c2 * t3;
     const float t5 = in->u[1] * t4;
+    /* towards J */
     const float t6 = in->u[0] * t4;
     const float t7 = t0 + t6;
+    /* towards reaction_matrix, reaction_right, J */
     const float t8 = model->c3 * in->u[0];
     const float t9 = t5 + t8;
+    /* towards reaction_matrix, reaction_right */
     const float t10 = t5 + t9;
     const float t11 = in->u[0] * t10;
     const float t12 = t1 + t11;
+    /* towards reaction_right */
     const float t13 = 0.5f * t12;
     const float t14 = double_pendulum_ideal_f32_cos(in->q[0]);
     const float t15 = 1.0f - t14;
@@ -1535,8 +1657,10 @@ static DOUBLE_PENDULUM_IDEAL_F32_SMALL void double_pendulum_ideal_f32_eval_react
     J[1] = t7;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_F32_OK, or a negative status. */
-static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix, float *reaction_right, float *J)
+/* The same with its checks: returns DOUBLE_PENDULUM_IDEAL_F32_OK with finite results, or a negative status. */
+static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(
+    const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix,
+    float *reaction_right, float *J)
 {
     double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
     if (!(double_pendulum_ideal_f32_finite(reaction_right, 1) && double_pendulum_ideal_f32_finite(J, 2))) {
@@ -1545,7 +1669,8 @@ static int double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(co
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-int double_pendulum_ideal_f32_prepare(const double_pendulum_ideal_f32_params *params, double_pendulum_ideal_f32_model *model)
+int double_pendulum_ideal_f32_prepare(const double_pendulum_ideal_f32_params *params,
+    double_pendulum_ideal_f32_model *model)
 {
     double_pendulum_ideal_f32_model ready;
     float mass_pivot[1], mass_scale[1];
@@ -1623,7 +1748,8 @@ int double_pendulum_ideal_f32_prepare(const double_pendulum_ideal_f32_params *pa
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-int double_pendulum_ideal_f32_psi(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *psi)
+int double_pendulum_ideal_f32_psi(const double_pendulum_ideal_f32_model *model,
+    const double_pendulum_ideal_f32_input *in, float *psi)
 {
     float new_psi[1];
     double_pendulum_ideal_f32_eval_psi(model, in, new_psi);
@@ -1634,7 +1760,8 @@ int double_pendulum_ideal_f32_psi(const double_pendulum_ideal_f32_model *model, 
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
+int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model,
+    const double_pendulum_ideal_f32_input *in, float *T)
 {
     float new_T[4];
     if (!(double_pendulum_ideal_f32_finite(&in->E_0, 1))) {
@@ -1648,7 +1775,8 @@ int double_pendulum_ideal_f32_T(const double_pendulum_ideal_f32_model *model, co
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-int double_pendulum_ideal_f32_F(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
+int double_pendulum_ideal_f32_F(const double_pendulum_ideal_f32_model *model,
+    const double_pendulum_ideal_f32_input *in, float *F)
 {
     float new_F[2];
     double_pendulum_ideal_f32_eval_F(model, in, new_F);
@@ -1669,7 +1797,8 @@ const double_pendulum_ideal_f32_params double_pendulum_ideal_f32_params_default 
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_failed(int status, const double_pendulum_ideal_f32_input *in, double_pendulum_ideal_f32_info *info)
+static DOUBLE_PENDULUM_IDEAL_F32_COLD int double_pendulum_ideal_f32_failed(int status,
+    const double_pendulum_ideal_f32_input *in, double_pendulum_ideal_f32_info *info)
 {
     return double_pendulum_ideal_f32_refuse(double_pendulum_ideal_f32_reason(status, in), info);
 }
@@ -1696,18 +1825,21 @@ static const double_pendulum_ideal_f32_info double_pendulum_ideal_f32_known_info
     DOUBLE_PENDULUM_IDEAL_F32_OK, DOUBLE_PENDULUM_IDEAL_F32_PATH_PRECOMPUTED, 2, 0, 0.618034f, 0.0f
 };
 
-/* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */
-static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_pinv, const double_pendulum_ideal_f32_info *known, const float *z, const float *y, float *tau, double_pendulum_ideal_f32_info *info)
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
+static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_pinv,
+    const double_pendulum_ideal_f32_info *known, const float *z, const float *y, float *tau,
+    double_pendulum_ideal_f32_info *info)
 {
     float rest[2], found[2];
     float residual = 0.0f;
     int status = known->status;
     int i, j;
-    if (double_pendulum_ideal_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && double_pendulum_ideal_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
+    if (double_pendulum_ideal_f32_largest(z, 2) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS
+            || (y != NULL && double_pendulum_ideal_f32_largest(y, 2) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS)) {
         return double_pendulum_ideal_f32_refuse(DOUBLE_PENDULUM_IDEAL_F32_NONFINITE, info);
     }
     if (known->rank == 2 && status != DOUBLE_PENDULUM_IDEAL_F32_REGULARISED) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     for (i = 0; i < 2; ++i) {
         rest[i] = z[i];
@@ -1724,7 +1856,7 @@ static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_
             found[j] = y[j] + found[j];
         }
     }
-    if (double_pendulum_ideal_f32_largest(found, 2) >= UINT32_C(0x7f800000)) {
+    if (double_pendulum_ideal_f32_largest(found, 2) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return double_pendulum_ideal_f32_refuse(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, info);
     }
     if (known->rank < 2 || info != NULL) {
@@ -1764,19 +1896,23 @@ static int double_pendulum_ideal_f32_react(const float *matrix, const float *rig
     return status;
 }
 
-int double_pendulum_ideal_f32_R(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *R)
+int double_pendulum_ideal_f32_R(const double_pendulum_ideal_f32_model *model,
+    const double_pendulum_ideal_f32_input *in, float *R)
 {
     float reaction_matrix[1], reaction_right[1], J[2];
-    const int status = double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
+    const int status = double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix,
+        reaction_right, J);
     return status < 0 ? status : double_pendulum_ideal_f32_react(reaction_matrix, reaction_right, J, R);
 }
 
-int double_pendulum_ideal_f32_control(const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *tau, double_pendulum_ideal_f32_info *info)
+int double_pendulum_ideal_f32_control(const double_pendulum_ideal_f32_model *model,
+    const double_pendulum_ideal_f32_input *in, float *tau, double_pendulum_ideal_f32_info *info)
 {
     float R[2];
     int reaction;
     float reaction_matrix[1], reaction_right[1], J[2];
-    int status = double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
+    int status = double_pendulum_ideal_f32_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix,
+        reaction_right, J);
     if (status < 0) {
         return double_pendulum_ideal_f32_refuse(status, info);
     }
@@ -1784,7 +1920,8 @@ int double_pendulum_ideal_f32_control(const double_pendulum_ideal_f32_model *mod
     if (reaction < 0) {
         return double_pendulum_ideal_f32_refuse(reaction, info);
     }
-    status = double_pendulum_ideal_f32_solve_known(double_pendulum_ideal_f32_known_matrix, double_pendulum_ideal_f32_known_pinv, &double_pendulum_ideal_f32_known_info, R, NULL, tau, info);
+    status = double_pendulum_ideal_f32_solve_known(double_pendulum_ideal_f32_known_matrix,
+        double_pendulum_ideal_f32_known_pinv, &double_pendulum_ideal_f32_known_info, R, NULL, tau, info);
     if (status < 0) {
         return double_pendulum_ideal_f32_failed(status, in, info);
     }

@@ -11,22 +11,65 @@
 #error "build double_pendulum_ideal.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define DOUBLE_PENDULUM_IDEAL_NOINLINE __attribute__((noinline))
+#define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
+#define DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define DOUBLE_PENDULUM_IDEAL_NOINLINE
+#define DOUBLE_PENDULUM_IDEAL_COLD
+#define DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define DOUBLE_PENDULUM_IDEAL_FRACTION_BITS 52
+#define DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS 1023
+#define DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define DOUBLE_PENDULUM_IDEAL_NO_EXPONENT (-16384)
+#define DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define DOUBLE_PENDULUM_IDEAL_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define DOUBLE_PENDULUM_IDEAL_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of G, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   From here to the end of the solver G is called S, R is called z.
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_IDEAL_CONSISTENCY 3.552713678800501e-15
+/* singular values at or below this part of the largest count as zero */
+#define DOUBLE_PENDULUM_IDEAL_RTOL 4.440892098500626e-16
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_0 1523
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_1 1523
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define DOUBLE_PENDULUM_IDEAL_NORMAL_LIMIT 27271342415.357616
+#define DOUBLE_PENDULUM_IDEAL_QR_LIMIT 1.7747108403195213e+29 /* up to this bound times |B|^2 the QR needs no SVD */
+/* below this the square of a pivot counts as zero */
+#define DOUBLE_PENDULUM_IDEAL_SMALLEST_SQUARE 1.1830521861667747e-271
+typedef union double_pendulum_ideal_word {
     double value;
     uint64_t bits;
 } double_pendulum_ideal_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t double_pendulum_ideal_magnitude(double x)
 {
     double_pendulum_ideal_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & DOUBLE_PENDULUM_IDEAL_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t double_pendulum_ideal_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +108,18 @@ static double double_pendulum_ideal_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS;
+    rest = (word.bits & (DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL - 1u)) | DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +127,8 @@ static double double_pendulum_ideal_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS - 1) << DOUBLE_PENDULUM_IDEAL_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +152,13 @@ static int double_pendulum_ideal_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     double_pendulum_ideal_word word;
     const uint64_t magnitude = double_pendulum_ideal_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS
+        + DOUBLE_PENDULUM_IDEAL_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +167,14 @@ static int double_pendulum_ideal_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +226,8 @@ static void double_pendulum_ideal_reduce_close(double x, double k, double *hi, d
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int double_pendulum_ideal_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = double_pendulum_ideal_magnitude(x);
@@ -203,7 +251,8 @@ static inline int double_pendulum_ideal_reduce(double x, double *hi, double *lo)
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (double_pendulum_ideal_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS)
+                > (double_pendulum_ideal_magnitude(*hi) >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             double_pendulum_ideal_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,14 +269,16 @@ static inline int double_pendulum_ideal_reduce(double x, double *hi, double *lo)
 static double double_pendulum_ideal_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double double_pendulum_ideal_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
@@ -242,7 +293,7 @@ static double double_pendulum_ideal_cos(double x)
     return ((quadrant + 1) & 2) != 0 ? -value : value;
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_pair {
     double sin, cos;
 } double_pendulum_ideal_pair;
 
@@ -269,59 +320,57 @@ static double_pendulum_ideal_pair double_pendulum_ideal_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_APART __attribute__((noinline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN to DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX, by writing its
+   exponent. */
 static double double_pendulum_ideal_power(int k)
 {
     double_pendulum_ideal_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS) << DOUBLE_PENDULUM_IDEAL_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double double_pendulum_ideal_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN && k <= DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX) {
         return x * double_pendulum_ideal_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= double_pendulum_ideal_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_ideal_power(DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_ideal_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_ideal_power(DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN + DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN + DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN;
     }
     return x * double_pendulum_ideal_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; DOUBLE_PENDULUM_IDEAL_NO_EXPONENT for
+   zero. */
 static int double_pendulum_ideal_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL) {
         double_pendulum_ideal_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_ideal_magnitude(word.value * double_pendulum_ideal_power(64));
-        lift = 64;
+        magnitude = double_pendulum_ideal_magnitude(word.value
+            * double_pendulum_ideal_power(DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS - lift;
 }
 
 static double double_pendulum_ideal_abs(double x)
@@ -329,51 +378,53 @@ static double double_pendulum_ideal_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t double_pendulum_ideal_biased_square(double square)
 {
     double_pendulum_ideal_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int double_pendulum_ideal_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define DOUBLE_PENDULUM_IDEAL_NEAR
-#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+#define DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define DOUBLE_PENDULUM_IDEAL_NEAR inline __attribute__((always_inline))
-#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+#define DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define DOUBLE_PENDULUM_IDEAL_UNROLL
 #elif defined(__clang__)
-#define DOUBLE_PENDULUM_IDEAL_NEAR
-#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT /* it does so by itself */
+#define DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_UNROLL /* clang writes such loops out by itself */
 #else
-#define DOUBLE_PENDULUM_IDEAL_NEAR
-#define DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS
+#define DOUBLE_PENDULUM_IDEAL_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static DOUBLE_PENDULUM_IDEAL_NEAR void double_pendulum_ideal_spread(const double *restrict v, double factor, double *restrict w)
+static DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS void double_pendulum_ideal_spread(const double *restrict v,
+    double factor, double *restrict w)
 {
     int k;
-    DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+    DOUBLE_PENDULUM_IDEAL_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-static DOUBLE_PENDULUM_IDEAL_NEAR double double_pendulum_ideal_inner(const double *a, const double *b)
+static DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS double double_pendulum_ideal_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
 } double_pendulum_ideal_normal;
@@ -381,8 +432,8 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int double_pendulum_ideal_normal_factor(const double *B, double_pendulum_ideal_normal *f)
 {
     const double g_0_0 = double_pendulum_ideal_inner(B, B);
@@ -392,25 +443,28 @@ static int double_pendulum_ideal_normal_factor(const double *B, double_pendulum_
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_0_0), 523, 1523) || !double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_1_1), 523, 1523)) {
+    if (!double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_0_0), DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_0,
+            DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_0)
+            || !double_pendulum_ideal_within(double_pendulum_ideal_biased_square(g_1_1),
+            DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_1, DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     n_1_0 = double_pendulum_ideal_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= DOUBLE_PENDULUM_IDEAL_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -431,15 +485,16 @@ static void double_pendulum_ideal_normal_solve(const double_pendulum_ideal_norma
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct double_pendulum_ideal_line {
     double p[2];
     double l[2];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } double_pendulum_ideal_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct double_pendulum_ideal_qr {
     double_pendulum_ideal_line line[2];
     double_pendulum_ideal_line *at[2];
     double left[2];    /* squared length of at[k]->p */
@@ -450,7 +505,8 @@ typedef struct {
 } double_pendulum_ideal_qr;
 
 /* rest -= along pivot, its squared length. */
-static DOUBLE_PENDULUM_IDEAL_NEAR double double_pendulum_ideal_take_out(double *restrict rest, const double *restrict pivot, double along)
+static DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS double double_pendulum_ideal_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -487,7 +543,7 @@ static void double_pendulum_ideal_qr_reduce(double_pendulum_ideal_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= DOUBLE_PENDULUM_IDEAL_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -520,8 +576,8 @@ static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ide
     double_pendulum_ideal_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -535,10 +591,11 @@ static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
     n_1_0 = double_pendulum_ideal_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    return bound * total < 1.7747108403195213e+29;
+    return bound * total < DOUBLE_PENDULUM_IDEAL_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void double_pendulum_ideal_triangle(double *t, int first, double *sigma)
 {
@@ -568,8 +625,8 @@ static void double_pendulum_ideal_triangle(double *t, int first, double *sigma)
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int double_pendulum_ideal_svd(const double_pendulum_ideal_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -591,9 +648,9 @@ static int double_pendulum_ideal_svd(const double_pendulum_ideal_qr *f, double *
     return 1;
 }
 
-typedef struct {
+typedef struct double_pendulum_ideal_factors {
     double B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* DOUBLE_PENDULUM_IDEAL_NO_EXPONENT where a row counts as zero */
     double_pendulum_ideal_normal normal;
     double_pendulum_ideal_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -608,9 +665,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } double_pendulum_ideal_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void double_pendulum_ideal_undo_scaling(double_pendulum_ideal_factors *f, int top)
 {
     double F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -628,7 +686,7 @@ static void double_pendulum_ideal_undo_scaling(double_pendulum_ideal_factors *f,
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0 :
+            F[2 * k + i] = exponent == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT ? 0.0 :
                 double_pendulum_ideal_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -705,18 +763,19 @@ static void double_pendulum_ideal_undo_scaling(double_pendulum_ideal_factors *f,
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is DOUBLE_PENDULUM_IDEAL_NO_EXPONENT. */
 static void double_pendulum_ideal_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX && exponent[i] <= -DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN) {
             double_pendulum_ideal_spread(row, double_pendulum_ideal_power(-exponent[i]), B + 2 * i);
         } else {
             double shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : double_pendulum_ideal_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+                    ? 0.0 : double_pendulum_ideal_shift(row[j], -exponent[i]);
             }
             double_pendulum_ideal_spread(shifted, 1.0, B + 2 * i);
         }
@@ -733,7 +792,8 @@ static int double_pendulum_ideal_length(const double *row, int exponent)
         shifted[j] = double_pendulum_ideal_shift(row[j], -exponent);
     }
     double_pendulum_ideal_spread(shifted, 1.0, padded);
-    return exponent + double_pendulum_ideal_exponent(double_pendulum_ideal_magnitude(double_pendulum_ideal_inner(padded, padded))) / 2;
+    return exponent + double_pendulum_ideal_exponent(
+        double_pendulum_ideal_magnitude(double_pendulum_ideal_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -779,8 +839,10 @@ static void double_pendulum_ideal_vectors(double_pendulum_ideal_factors *f, cons
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise_svd(const double *S, double_pendulum_ideal_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise_svd(const double *S,
+    double_pendulum_ideal_factors *f, int top, int bottom)
 {
     double u[4];
     int i;
@@ -790,7 +852,7 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise_svd(const
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 4.440892098500626e-16 * f->sigma[0];
+        f->rank += f->sigma[i] > DOUBLE_PENDULUM_IDEAL_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -798,7 +860,8 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise_svd(const
         if (f->rank > 0 && bottom != top) {
             double_pendulum_ideal_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+                    ? DOUBLE_PENDULUM_IDEAL_NO_EXPONENT : top;
             }
             double_pendulum_ideal_scale(S, f->exponent, f->B);
         }
@@ -807,19 +870,20 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise_svd(const
 }
 
 /* The ladder, from the step `from` on. */
-static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const double *S, double_pendulum_ideal_factors *f, int from)
+static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise(const double *S,
+    double_pendulum_ideal_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
+    int bottom = -DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         double_pendulum_ideal_word word;
         word.bits = double_pendulum_ideal_largest(S + 2 * i, 2);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
             return DOUBLE_PENDULUM_IDEAL_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
         if (word.value > 0.0) {
             f->exponent[i] = double_pendulum_ideal_length(S + 2 * i, double_pendulum_ideal_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -852,7 +916,8 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_factorise(const dou
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static DOUBLE_PENDULUM_IDEAL_APART double double_pendulum_ideal_sigma_min(const double *S, double_pendulum_ideal_factors *f)
+static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_sigma_min(const double *S,
+    double_pendulum_ideal_factors *f)
 {
     const uint64_t magnitude = double_pendulum_ideal_largest(S, 4);
     const int top = magnitude == 0 ? 0 : double_pendulum_ideal_exponent(magnitude);
@@ -869,12 +934,12 @@ static DOUBLE_PENDULUM_IDEAL_APART double double_pendulum_ideal_sigma_min(const 
     return double_pendulum_ideal_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_refuse(int status, double_pendulum_ideal_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_IDEAL_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -883,17 +948,19 @@ static int double_pendulum_ideal_refuse(int status, double_pendulum_ideal_info *
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 3.55e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_IDEAL_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_ideal_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int double_pendulum_ideal_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = double_pendulum_ideal_exponent(double_pendulum_ideal_largest(tau, 2));
     double t[2], rest[2];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[2];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -901,9 +968,9 @@ static int double_pendulum_ideal_consistent(const double *S, const double *z, co
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : double_pendulum_ideal_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT ? 0.0 : double_pendulum_ideal_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             const double yj = double_pendulum_ideal_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -913,17 +980,18 @@ static int double_pendulum_ideal_consistent(const double *S, const double *z, co
         const double *const row = S + 2 * i;
         const int row_unit = double_pendulum_ideal_exponent(double_pendulum_ideal_largest(row, 2));
         const int z_unit = double_pendulum_ideal_exponent(double_pendulum_ideal_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT ? DOUBLE_PENDULUM_IDEAL_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const double s = double_pendulum_ideal_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -933,24 +1001,27 @@ static int double_pendulum_ideal_consistent(const double *S, const double *z, co
         }
         target = double_pendulum_ideal_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 3.552713678800501e-15 * (scale * double_pendulum_ideal_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = DOUBLE_PENDULUM_IDEAL_CONSISTENCY
+            * (scale * double_pendulum_ideal_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             rest[i] = double_pendulum_ideal_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : double_pendulum_ideal_shift(double_pendulum_ideal_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+        ? 0.0 : double_pendulum_ideal_shift(double_pendulum_ideal_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void double_pendulum_ideal_qr_apply(const double_pendulum_ideal_qr *f, const double *restrict r, double *restrict x, int careful)
+static void double_pendulum_ideal_qr_apply(const double_pendulum_ideal_qr *f, const double *restrict r,
+    double *restrict x, int careful)
 {
     const double_pendulum_ideal_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -968,12 +1039,13 @@ static void double_pendulum_ideal_qr_apply(const double_pendulum_ideal_qr *f, co
 }
 
 /* x = S+ r from the normal equations. */
-static void double_pendulum_ideal_normal_apply(const double_pendulum_ideal_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void double_pendulum_ideal_normal_apply(const double_pendulum_ideal_normal *f, const double *B,
+    const double *restrict r, double *restrict x)
 {
     double w[2];
     int j;
     double_pendulum_ideal_normal_solve(f, r, w);
-    DOUBLE_PENDULUM_IDEAL_WRITTEN_OUT
+    DOUBLE_PENDULUM_IDEAL_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
@@ -981,7 +1053,8 @@ static void double_pendulum_ideal_normal_apply(const double_pendulum_ideal_norma
 
 
 /* x = S+ r, from the step of the ladder that held. */
-static void double_pendulum_ideal_apply(const double_pendulum_ideal_factors *f, const double *r, double *x, int careful)
+static void double_pendulum_ideal_apply(const double_pendulum_ideal_factors *f, const double *r, double *x,
+    int careful)
 {
     int i, j, k;
     if (f->path == DOUBLE_PENDULUM_IDEAL_PATH_NORMAL) {
@@ -1009,7 +1082,8 @@ static void double_pendulum_ideal_apply(const double_pendulum_ideal_factors *f, 
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_pinv_core(const double *S, double *S_pinv, double_pendulum_ideal_info *info)
+static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_pinv_core(const double *S, double *S_pinv,
+    double_pendulum_ideal_info *info)
 {
     double_pendulum_ideal_factors f;
     double unit[2], x[2], answer[4];
@@ -1022,7 +1096,7 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_pinv_core(const dou
         unit[i] = 0.0;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
         unit[i] = 1.0;
         double_pendulum_ideal_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1030,7 +1104,7 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_pinv_core(const dou
             answer[2 * j + i] = zero_row ? 0.0 : double_pendulum_ideal_shift(x[j], -f.exponent[i]);
         }
     }
-    if (double_pendulum_ideal_largest(answer, 4) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_ideal_largest(answer, 4) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return double_pendulum_ideal_refuse(DOUBLE_PENDULUM_IDEAL_OVERFLOW, info);
     }
     status = f.rank < 2 ? DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_IDEAL_OK;
@@ -1050,22 +1124,31 @@ static DOUBLE_PENDULUM_IDEAL_APART int double_pendulum_ideal_pinv_core(const dou
 
 typedef double_pendulum_ideal_info double_pendulum_ideal_reaction_info;
 
-/* ---- pseudo-inverse of S, 1 x 1, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* ---- pseudo-inverse of J Q^-1 J^T, 1 x 1, row-major: one row s, s^T / (s s^T) ----
+   From here to the end of the solver J Q^-1 J^T is called S, its right side is called z, the force of the constraints
+   is called tau. Its theory, with the sources, is servogen's numerics.md. */
 
-typedef union {
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_IDEAL_REACTION_CONSISTENCY 1.7763568394002505e-15
+/* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define DOUBLE_PENDULUM_IDEAL_REACTION_SQUARE_LOW 1534
+#define DOUBLE_PENDULUM_IDEAL_REACTION_TASK_LOW 511 /* lowest exponent of the task z - s y for the short form */
+#define DOUBLE_PENDULUM_IDEAL_REACTION_SPAN 1023 /* from either lowest to the highest: a power of two less one */
+typedef union double_pendulum_ideal_reaction_word {
     double value;
     uint64_t bits;
 } double_pendulum_ideal_reaction_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t double_pendulum_ideal_reaction_magnitude(double x)
 {
     double_pendulum_ideal_reaction_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & DOUBLE_PENDULUM_IDEAL_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t double_pendulum_ideal_reaction_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -1079,79 +1162,75 @@ static uint64_t double_pendulum_ideal_reaction_largest(const double *x, int n)
     return largest;
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_IDEAL_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_COLD
-#define DOUBLE_PENDULUM_IDEAL_SMALL
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN to DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX, by writing its
+   exponent. */
 static double double_pendulum_ideal_reaction_power(int k)
 {
     double_pendulum_ideal_reaction_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS) << DOUBLE_PENDULUM_IDEAL_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double double_pendulum_ideal_reaction_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN && k <= DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX) {
         return x * double_pendulum_ideal_reaction_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= double_pendulum_ideal_reaction_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX; ++step) {
+        x *= double_pendulum_ideal_reaction_power(DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX);
+        k -= DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= double_pendulum_ideal_reaction_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN; ++step) {
+        x *= double_pendulum_ideal_reaction_power(DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN
+            + DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1);
+        k -= DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN + DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX) {
+        k = DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN) {
+        k = DOUBLE_PENDULUM_IDEAL_EXPONENT_MIN;
     }
     return x * double_pendulum_ideal_reaction_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; DOUBLE_PENDULUM_IDEAL_NO_EXPONENT for
+   zero. */
 static int double_pendulum_ideal_reaction_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL) {
         double_pendulum_ideal_reaction_word word;
         word.bits = magnitude;
-        magnitude = double_pendulum_ideal_reaction_magnitude(word.value * double_pendulum_ideal_reaction_power(64));
-        lift = 64;
+        magnitude = double_pendulum_ideal_reaction_magnitude(word.value
+            * double_pendulum_ideal_reaction_power(DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT));
+        lift = DOUBLE_PENDULUM_IDEAL_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS) - DOUBLE_PENDULUM_IDEAL_EXPONENT_BIAS - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t double_pendulum_ideal_reaction_biased(double x)
 {
     double_pendulum_ideal_reaction_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1);
 }
 
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_reaction_refuse(int status, double_pendulum_ideal_reaction_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = DOUBLE_PENDULUM_IDEAL_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -1160,17 +1239,19 @@ static int double_pendulum_ideal_reaction_refuse(int status, double_pendulum_ide
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.78e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= DOUBLE_PENDULUM_IDEAL_REACTION_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int double_pendulum_ideal_reaction_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int double_pendulum_ideal_reaction_consistent(const double *S, const double *z, const double *y,
+    const double *tau, double *residual)
 {
     int tau_unit = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_largest(tau, 1));
     double t[1], rest[1];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[1];
-    int top = -16384;
+    int top = DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -1178,9 +1259,10 @@ static int double_pendulum_ideal_reaction_consistent(const double *S, const doub
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 1; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : double_pendulum_ideal_reaction_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+            ? 0.0 : double_pendulum_ideal_reaction_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             const double yj = double_pendulum_ideal_reaction_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1190,17 +1272,18 @@ static int double_pendulum_ideal_reaction_consistent(const double *S, const doub
         const double *const row = S + 1 * i;
         const int row_unit = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_largest(row, 1));
         const int z_unit = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+            || tau_unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT ? DOUBLE_PENDULUM_IDEAL_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             for (j = 0; j < 1; ++j) {
                 const double s = double_pendulum_ideal_reaction_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1210,36 +1293,39 @@ static int double_pendulum_ideal_reaction_consistent(const double *S, const doub
         }
         target = double_pendulum_ideal_reaction_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.7763568394002505e-15 * (scale * double_pendulum_ideal_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = DOUBLE_PENDULUM_IDEAL_REACTION_CONSISTENCY
+            * (scale * double_pendulum_ideal_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
             rest[i] = double_pendulum_ideal_reaction_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(norm), top);
+    *residual = top == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT
+        ? 0.0 : double_pendulum_ideal_reaction_shift(double_pendulum_ideal_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct double_pendulum_ideal_reaction_scaled_row {
     double s[1];
-    double square; /* s s^T */
+    double square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } double_pendulum_ideal_reaction_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
 static int double_pendulum_ideal_reaction_scale_row(const double *S, double_pendulum_ideal_reaction_scaled_row *row)
 {
     double_pendulum_ideal_reaction_word word;
     int j;
     word.bits = double_pendulum_ideal_reaction_largest(S, 1);
-    if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (word.bits >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0;
@@ -1251,17 +1337,20 @@ static int double_pendulum_ideal_reaction_scale_row(const double *S, double_pend
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
-static double double_pendulum_ideal_reaction_over_square(const double_pendulum_ideal_reaction_scaled_row *row, double a)
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
+static double double_pendulum_ideal_reaction_over_square(const double_pendulum_ideal_reaction_scaled_row *row,
+    double a)
 {
     return a / row->square;
 }
 
-static void double_pendulum_ideal_reaction_fill_info(const double *S, int status, int rank, double residual, double_pendulum_ideal_reaction_info *info)
+static void double_pendulum_ideal_reaction_fill_info(const double *S, int status, int rank, double residual,
+    double_pendulum_ideal_reaction_info *info)
 {
     const uint64_t magnitude = double_pendulum_ideal_reaction_largest(S, 1);
     const int unit = magnitude == 0 ? 0 : double_pendulum_ideal_reaction_exponent(magnitude);
-    const double square = double_pendulum_ideal_reaction_shift(S[0], -unit) * double_pendulum_ideal_reaction_shift(S[0], -unit);
+    const double square = double_pendulum_ideal_reaction_shift(S[0], -unit)
+        * double_pendulum_ideal_reaction_shift(S[0], -unit);
     info->status = status;
     info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -1270,31 +1359,36 @@ static void double_pendulum_ideal_reaction_fill_info(const double *S, int status
     info->residual = residual;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scaled(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scaled(const double *S, const double *z,
+    const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     double_pendulum_ideal_reaction_scaled_row row;
     double answer[1];
     double residual = 0.0;
     double rest, target, scale;
-    int unit = -16384;
+    int unit = DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
     int status = DOUBLE_PENDULUM_IDEAL_OK;
     int own, j;
-    if (!double_pendulum_ideal_reaction_scale_row(S, &row) || double_pendulum_ideal_reaction_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
-        (y != NULL && double_pendulum_ideal_reaction_largest(y, 1) >= UINT64_C(0x7ff0000000000000))) {
+    if (!double_pendulum_ideal_reaction_scale_row(S, &row)
+            || double_pendulum_ideal_reaction_magnitude(z[0]) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS ||
+        (y != NULL && double_pendulum_ideal_reaction_largest(y, 1) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS)) {
         return double_pendulum_ideal_reaction_refuse(DOUBLE_PENDULUM_IDEAL_NONFINITE, info);
     }
     if (row.rank) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* one equation for one unknown: the answer does not depend on y */
     }
     if (y != NULL) {
         unit = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_largest(y, 1));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = double_pendulum_ideal_reaction_exponent(double_pendulum_ideal_reaction_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
         unit = 0;
     }
     target = double_pendulum_ideal_reaction_shift(z[0], -unit - row.unit);
@@ -1309,13 +1403,14 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
             answer[j] = y[j] + answer[j];
         }
     }
-    if (double_pendulum_ideal_reaction_largest(answer, 1) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_ideal_reaction_largest(answer, 1) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return double_pendulum_ideal_reaction_refuse(DOUBLE_PENDULUM_IDEAL_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
         const int met = double_pendulum_ideal_reaction_consistent(S, z, y, answer, &residual);
         if (!row.rank) {
-            status = met ? DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_CONSISTENT : DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_CONSISTENT
+                : DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1327,17 +1422,22 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_scale
     return status;
 }
 
-/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to DOUBLE_PENDULUM_IDEAL_REACTION_SPAN where it
+   fits, more where it is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN and
+   infinity never fit. The exponent is taken with one bit of the fraction, so that the range of squares has as many
+   steps as that of tasks. Both spans are then the same power of two less one, and the two answers, joined by |, need
+   one comparison. */
 static uint64_t double_pendulum_ideal_reaction_outside(double square)
 {
     double_pendulum_ideal_reaction_word word;
     word.value = square;
-    word.bits >>= 51;
-    return word.bits - 1534;
+    word.bits >>= DOUBLE_PENDULUM_IDEAL_FRACTION_BITS - 1;
+    return word.bits - DOUBLE_PENDULUM_IDEAL_REACTION_SQUARE_LOW;
 }
 
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_short_info(double square, double residual, double_pendulum_ideal_reaction_info *info)
+/* Fills *info for the short form, which is taken at full rank only. */
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_short_info(double square, double residual,
+    double_pendulum_ideal_reaction_info *info)
 {
     info->status = DOUBLE_PENDULUM_IDEAL_OK;
     info->path = DOUBLE_PENDULUM_IDEAL_PATH_CLOSED_FORM;
@@ -1348,20 +1448,25 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_short_info(
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_values(double s_0, double target, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reaction_solve_values(double s_0, double target,
+    const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double S[1] = {s_0};
     return double_pendulum_ideal_reaction_solve_scaled(S, &target, y, tau, info);
 }
 
-static DOUBLE_PENDULUM_IDEAL_SMALL int double_pendulum_ideal_reaction_solve_core(const double *S, const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
+static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE int double_pendulum_ideal_reaction_solve_core(const double *S,
+    const double *z, const double *y, double *tau, double_pendulum_ideal_reaction_info *info)
 {
     const double s_0 = S[0];
     const double target = z[0];
     const double square = s_0 * s_0;
-    if ((double_pendulum_ideal_reaction_outside(square) | (double_pendulum_ideal_reaction_biased(target) - 511)) <= 1023 &&
-        (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < UINT64_C(0x7ff0000000000000))) {
+    if ((double_pendulum_ideal_reaction_outside(square)
+            | (double_pendulum_ideal_reaction_biased(target) - DOUBLE_PENDULUM_IDEAL_REACTION_TASK_LOW))
+            <= DOUBLE_PENDULUM_IDEAL_REACTION_SPAN &&
+        (y == NULL || double_pendulum_ideal_reaction_magnitude(y[0]) < DOUBLE_PENDULUM_IDEAL_INFINITY_BITS)) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         tau[0] = t_0;
@@ -1374,7 +1479,7 @@ static DOUBLE_PENDULUM_IDEAL_SMALL int double_pendulum_ideal_reaction_solve_core
 }
 
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_ideal_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1385,10 +1490,11 @@ static void double_pendulum_ideal_copy(const double *from, double *to, int n)
 
 static int double_pendulum_ideal_finite(const double *x, int n)
 {
-    return double_pendulum_ideal_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return double_pendulum_ideal_largest(x, n) < DOUBLE_PENDULUM_IDEAL_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* DOUBLE_PENDULUM_IDEAL_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots
+   come in the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int double_pendulum_ideal_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1403,7 +1509,7 @@ static int double_pendulum_ideal_mass_status(const double *pivot, const double *
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int double_pendulum_ideal_input_finite(const double_pendulum_ideal_input *in)
 {
     return double_pendulum_ideal_finite(in->q, 2)
@@ -1411,17 +1517,8 @@ static int double_pendulum_ideal_input_finite(const double_pendulum_ideal_input 
            && double_pendulum_ideal_finite(&in->E_0, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define DOUBLE_PENDULUM_IDEAL_COLD __attribute__((noinline, cold))
-#define DOUBLE_PENDULUM_IDEAL_SMALL inline __attribute__((always_inline))
-#else
-#define DOUBLE_PENDULUM_IDEAL_COLD
-#define DOUBLE_PENDULUM_IDEAL_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(int status, const double_pendulum_ideal_input *in)
 {
     if (!double_pendulum_ideal_input_finite(in)) {
@@ -1430,8 +1527,10 @@ static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_reason(int status, c
     return status == DOUBLE_PENDULUM_IDEAL_NONFINITE ? DOUBLE_PENDULUM_IDEAL_OVERFLOW : status;
 }
 
-static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
+static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_psi(
+    const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
 {
+    /* towards psi */
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->u[1] * t0;
     const double t2 = in->q[0] - in->q[1];
@@ -1459,8 +1558,10 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_psi(const dou
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *T)
+static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model,
+    const double_pendulum_ideal_input *in, double *T)
 {
+    /* towards T */
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->q[0] - in->q[1];
     const double t2 = double_pendulum_ideal_cos(t1);
@@ -1483,8 +1584,10 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_T(const doubl
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *F)
+static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model,
+    const double_pendulum_ideal_input *in, double *F)
 {
+    /* towards F */
     const double t0 = model->c1 * in->u[1];
     const double t1 = in->u[1] * t0;
     const double t2 = in->q[0] - in->q[1];
@@ -1534,21 +1637,30 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_F(const doubl
 }
 
 
-static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
+static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(
+    const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix,
+    double *reaction_right, double *J)
 {
+    /* towards reaction_matrix, reaction_right, J */
     const double t0 = model->c1 * in->u[1];
+    /* towards reaction_matrix, reaction_right */
     const double t1 = in->u[1] * t0;
+    /* towards reaction_matrix, reaction_right, J */
     const double t2 = in->q[0] - in->q[1];
     const double t3 = double_pendulum_ideal_cos(t2);
     const double t4 = model->c2 * t3;
     const double t5 = in->u[1] * t4;
+    /* towards J */
     const double t6 = in->u[0] * t4;
     const double t7 = t0 + t6;
+    /* towards reaction_matrix, reaction_right, J */
     const double t8 = model->c3 * in->u[0];
     const double t9 = t5 + t8;
+    /* towards reaction_matrix, reaction_right */
     const double t10 = t5 + t9;
     const double t11 = in->u[0] * t10;
     const double t12 = t1 + t11;
+    /* towards reaction_right */
     const double t13 = 0.5 * t12;
     const double t14 = double_pendulum_ideal_cos(in->q[0]);
     const double t15 = 1.0 - t14;
@@ -1569,8 +1681,9 @@ static DOUBLE_PENDULUM_IDEAL_SMALL void double_pendulum_ideal_eval_reaction_matr
     J[1] = t7;
 }
 
-/* The same behind its checks: DOUBLE_PENDULUM_IDEAL_OK, or a negative status. */
-static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
+/* The same with its checks: returns DOUBLE_PENDULUM_IDEAL_OK with finite results, or a negative status. */
+static int double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(const double_pendulum_ideal_model *model,
+    const double_pendulum_ideal_input *in, double *reaction_matrix, double *reaction_right, double *J)
 {
     double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
     if (!(double_pendulum_ideal_finite(reaction_right, 1) && double_pendulum_ideal_finite(J, 2))) {
@@ -1657,7 +1770,8 @@ int double_pendulum_ideal_prepare(const double_pendulum_ideal_params *params, do
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-int double_pendulum_ideal_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *psi)
+int double_pendulum_ideal_psi(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in,
+    double *psi)
 {
     double new_psi[1];
     double_pendulum_ideal_eval_psi(model, in, new_psi);
@@ -1703,7 +1817,8 @@ const double_pendulum_ideal_params double_pendulum_ideal_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_failed(int status, const double_pendulum_ideal_input *in, double_pendulum_ideal_info *info)
+static DOUBLE_PENDULUM_IDEAL_COLD int double_pendulum_ideal_failed(int status, const double_pendulum_ideal_input *in,
+    double_pendulum_ideal_info *info)
 {
     return double_pendulum_ideal_refuse(double_pendulum_ideal_reason(status, in), info);
 }
@@ -1730,18 +1845,21 @@ static const double_pendulum_ideal_info double_pendulum_ideal_known_info = {
     DOUBLE_PENDULUM_IDEAL_OK, DOUBLE_PENDULUM_IDEAL_PATH_PRECOMPUTED, 2, 0, 0.6180339887498949, 0.0
 };
 
-/* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */
-static int double_pendulum_ideal_solve_known(const double *S, const double *S_pinv, const double_pendulum_ideal_info *known, const double *z, const double *y, double *tau, double_pendulum_ideal_info *info)
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
+static int double_pendulum_ideal_solve_known(const double *S, const double *S_pinv,
+    const double_pendulum_ideal_info *known, const double *z, const double *y, double *tau,
+    double_pendulum_ideal_info *info)
 {
     double rest[2], found[2];
     double residual = 0.0;
     int status = known->status;
     int i, j;
-    if (double_pendulum_ideal_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && double_pendulum_ideal_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
+    if (double_pendulum_ideal_largest(z, 2) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS
+            || (y != NULL && double_pendulum_ideal_largest(y, 2) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS)) {
         return double_pendulum_ideal_refuse(DOUBLE_PENDULUM_IDEAL_NONFINITE, info);
     }
     if (known->rank == 2 && status != DOUBLE_PENDULUM_IDEAL_REGULARISED) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     for (i = 0; i < 2; ++i) {
         rest[i] = z[i];
@@ -1758,7 +1876,7 @@ static int double_pendulum_ideal_solve_known(const double *S, const double *S_pi
             found[j] = y[j] + found[j];
         }
     }
-    if (double_pendulum_ideal_largest(found, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (double_pendulum_ideal_largest(found, 2) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return double_pendulum_ideal_refuse(DOUBLE_PENDULUM_IDEAL_OVERFLOW, info);
     }
     if (known->rank < 2 || info != NULL) {
@@ -1801,16 +1919,19 @@ static int double_pendulum_ideal_react(const double *matrix, const double *right
 int double_pendulum_ideal_R(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *R)
 {
     double reaction_matrix[1], reaction_right[1], J[2];
-    const int status = double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
+    const int status = double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix,
+        reaction_right, J);
     return status < 0 ? status : double_pendulum_ideal_react(reaction_matrix, reaction_right, J, R);
 }
 
-int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *tau, double_pendulum_ideal_info *info)
+int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in,
+    double *tau, double_pendulum_ideal_info *info)
 {
     double R[2];
     int reaction;
     double reaction_matrix[1], reaction_right[1], J[2];
-    int status = double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix, reaction_right, J);
+    int status = double_pendulum_ideal_checked_reaction_matrix_reaction_right_J(model, in, reaction_matrix,
+        reaction_right, J);
     if (status < 0) {
         return double_pendulum_ideal_refuse(status, info);
     }
@@ -1818,7 +1939,8 @@ int double_pendulum_ideal_control(const double_pendulum_ideal_model *model, cons
     if (reaction < 0) {
         return double_pendulum_ideal_refuse(reaction, info);
     }
-    status = double_pendulum_ideal_solve_known(double_pendulum_ideal_known_matrix, double_pendulum_ideal_known_pinv, &double_pendulum_ideal_known_info, R, NULL, tau, info);
+    status = double_pendulum_ideal_solve_known(double_pendulum_ideal_known_matrix, double_pendulum_ideal_known_pinv,
+        &double_pendulum_ideal_known_info, R, NULL, tau, info);
     if (status < 0) {
         return double_pendulum_ideal_failed(status, in, info);
     }

@@ -11,22 +11,78 @@
 #error "build iiwa_pose_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 6 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define IIWA_POSE_F32_NOINLINE __attribute__((noinline))
+#define IIWA_POSE_F32_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSE_F32_NOINLINE
+#define IIWA_POSE_F32_COLD
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define IIWA_POSE_F32_FRACTION_BITS 23
+#define IIWA_POSE_F32_EXPONENT_BIAS 127
+#define IIWA_POSE_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define IIWA_POSE_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define IIWA_POSE_F32_NO_EXPONENT (-16384)
+#define IIWA_POSE_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define IIWA_POSE_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define IIWA_POSE_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define IIWA_POSE_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 6 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define IIWA_POSE_F32_CONSISTENCY 0.00000667572f /* a row whose relative residual is at most this is met */
+#define IIWA_POSE_F32_ROOT_L 2.6457512f /* sqrt(7): a row within its atol is no longer than this times atol */
+#define IIWA_POSE_F32_RTOL 0.000000834465f /* singular values at or below this part of the largest count as zero */
+#define IIWA_POSE_F32_SQUARE_LOW_0 88 /* exponents of row 0's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_0 167
+#define IIWA_POSE_F32_SQUARE_LOW_1 88 /* exponents of row 1's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_1 167
+#define IIWA_POSE_F32_SQUARE_LOW_2 87 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_2 167
+#define IIWA_POSE_F32_SQUARE_LOW_3 104 /* exponents of row 3's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_3 167
+#define IIWA_POSE_F32_SQUARE_LOW_4 104 /* exponents of row 4's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_4 167
+#define IIWA_POSE_F32_SQUARE_LOW_5 102 /* exponents of row 5's square with which nothing needs scaling */
+#define IIWA_POSE_F32_SQUARE_HIGH_5 167
+#define IIWA_POSE_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define IIWA_POSE_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define IIWA_POSE_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define IIWA_POSE_F32_NORMAL_LIMIT 41285.094f
+#define IIWA_POSE_F32_QR_LIMIT 50263390000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define IIWA_POSE_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+#define IIWA_POSE_F32_NEGLIGIBLE 1.4210855e-14f /* eps^2: columns with less than this part of all squares are noise */
+#define IIWA_POSE_F32_ORTHOGONAL 2.4868994e-14f /* columns whose squared cosine is at most this are not rotated */
+#define IIWA_POSE_F32_CONVERGED 4.2987836e-13f /* a sweep that met no larger squared cosine was the last */
+#define IIWA_POSE_F32_SWEEP_CAP 10 /* sweeps of Jacobi's method at most: two more than were ever seen */
+/* the triangle is made this much larger, so that squares of squares stay in range */
+#define IIWA_POSE_F32_LIFT 1048576.0f
+#define IIWA_POSE_F32_LOWER 9.536743e-7f /* and its singular values this much smaller again */
+
+typedef union iiwa_pose_f32_word {
     float value;
     uint32_t bits;
 } iiwa_pose_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t iiwa_pose_f32_magnitude(float x)
 {
     iiwa_pose_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & IIWA_POSE_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t iiwa_pose_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +121,18 @@ static float iiwa_pose_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= IIWA_POSE_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < IIWA_POSE_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -IIWA_POSE_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> IIWA_POSE_F32_FRACTION_BITS) - IIWA_POSE_F32_EXPONENT_BIAS;
+    rest = (word.bits & (IIWA_POSE_F32_SMALLEST_NORMAL - 1u)) | IIWA_POSE_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = IIWA_POSE_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +140,8 @@ static float iiwa_pose_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + IIWA_POSE_F32_EXPONENT_BIAS - 1) << IIWA_POSE_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +161,12 @@ static int iiwa_pose_f32_reduce_far(float x, float *hi, float *lo)
     float a, b, c, rest, top, product_hi, product_lo;
     iiwa_pose_f32_word word;
     const uint32_t magnitude = iiwa_pose_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> IIWA_POSE_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(IIWA_POSE_F32_EXPONENT_BIAS + IIWA_POSE_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= IIWA_POSE_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +209,8 @@ static int iiwa_pose_f32_reduce_far(float x, float *hi, float *lo)
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int iiwa_pose_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = iiwa_pose_f32_magnitude(x);
@@ -199,7 +257,7 @@ static float iiwa_pose_f32_cos_near(float hi, float lo)
     return w + (((1.0f - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct iiwa_pose_f32_pair {
     float sin, cos;
 } iiwa_pose_f32_pair;
 
@@ -226,59 +284,54 @@ static iiwa_pose_f32_pair iiwa_pose_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define IIWA_POSE_F32_APART __attribute__((noinline))
-#else
-#define IIWA_POSE_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from IIWA_POSE_F32_EXPONENT_MIN to IIWA_POSE_F32_EXPONENT_MAX, by writing its exponent. */
 static float iiwa_pose_f32_power(int k)
 {
     iiwa_pose_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + IIWA_POSE_F32_EXPONENT_BIAS) << IIWA_POSE_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float iiwa_pose_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= IIWA_POSE_F32_EXPONENT_MIN && k <= IIWA_POSE_F32_EXPONENT_MAX) {
         return x * iiwa_pose_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= iiwa_pose_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > IIWA_POSE_F32_EXPONENT_MAX; ++step) {
+        x *= iiwa_pose_f32_power(IIWA_POSE_F32_EXPONENT_MAX);
+        k -= IIWA_POSE_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= iiwa_pose_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < IIWA_POSE_F32_EXPONENT_MIN; ++step) {
+        x *= iiwa_pose_f32_power(IIWA_POSE_F32_EXPONENT_MIN + IIWA_POSE_F32_FRACTION_BITS + 1);
+        k -= IIWA_POSE_F32_EXPONENT_MIN + IIWA_POSE_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > IIWA_POSE_F32_EXPONENT_MAX) {
+        k = IIWA_POSE_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < IIWA_POSE_F32_EXPONENT_MIN) {
+        k = IIWA_POSE_F32_EXPONENT_MIN;
     }
     return x * iiwa_pose_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; IIWA_POSE_F32_NO_EXPONENT for zero. */
 static int iiwa_pose_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return IIWA_POSE_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < IIWA_POSE_F32_SMALLEST_NORMAL) {
         iiwa_pose_f32_word word;
         word.bits = magnitude;
-        magnitude = iiwa_pose_f32_magnitude(word.value * iiwa_pose_f32_power(32));
-        lift = 32;
+        magnitude = iiwa_pose_f32_magnitude(word.value * iiwa_pose_f32_power(IIWA_POSE_F32_SUBNORMAL_LIFT));
+        lift = IIWA_POSE_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> IIWA_POSE_F32_FRACTION_BITS) - IIWA_POSE_F32_EXPONENT_BIAS - lift;
 }
 
 static float iiwa_pose_f32_abs(float x)
@@ -286,92 +339,95 @@ static float iiwa_pose_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t iiwa_pose_f32_biased(float x)
 {
     iiwa_pose_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (IIWA_POSE_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t iiwa_pose_f32_biased_square(float square)
 {
     iiwa_pose_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> IIWA_POSE_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int iiwa_pose_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define IIWA_POSE_F32_NEAR
-#define IIWA_POSE_F32_WRITTEN_OUT
+#define IIWA_POSE_F32_INLINE_WITH_VECTORS
+#define IIWA_POSE_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define IIWA_POSE_F32_NEAR inline __attribute__((always_inline))
-#define IIWA_POSE_F32_WRITTEN_OUT
+#define IIWA_POSE_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define IIWA_POSE_F32_UNROLL
 #elif defined(__clang__)
-#define IIWA_POSE_F32_NEAR
-#define IIWA_POSE_F32_WRITTEN_OUT /* it does so by itself */
+#define IIWA_POSE_F32_INLINE_WITH_VECTORS
+#define IIWA_POSE_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define IIWA_POSE_F32_NEAR
-#define IIWA_POSE_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define IIWA_POSE_F32_INLINE_WITH_VECTORS
+#define IIWA_POSE_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
 static const float iiwa_pose_f32_last[4] = { 0.0f, 1.0f, 1.0f, 1.0f };
 
 /* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 made zero.
-   Blocks are loaded and stored whole: a number stored alone would stall the vector that is read over it. */
-static IIWA_POSE_F32_NEAR void iiwa_pose_f32_spread(const float *restrict v, float factor, float *restrict w)
+   Blocks are loaded and stored whole: a vector that is read where a single number was just stored has to wait for
+   it. */
+static IIWA_POSE_F32_INLINE_WITH_VECTORS void iiwa_pose_f32_spread(const float *restrict v, float factor,
+    float *restrict w)
 {
     int k;
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_pose_f32_last[k] * v[3 + k]);
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static IIWA_POSE_F32_NEAR void iiwa_pose_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static IIWA_POSE_F32_INLINE_WITH_VECTORS void iiwa_pose_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
 }
 
-/* a b, in four sums that a machine with vectors and one without add up alike. */
-static IIWA_POSE_F32_NEAR float iiwa_pose_f32_inner(const float *a, const float *b)
+/* The inner product in four sums, which a machine with vectors and one without add up in the same order: same bits. */
+static IIWA_POSE_F32_INLINE_WITH_VECTORS float iiwa_pose_f32_inner(const float *a, const float *b)
 {
     float sum[4];
     int k;
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-typedef struct {
+typedef struct iiwa_pose_f32_normal {
     float lower[15]; /* L below its unit diagonal, row by row */
     float inverse[6]; /* 1 / D */
 } iiwa_pose_f32_normal;
@@ -379,8 +435,8 @@ typedef struct {
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2e-05, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2e-05, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
 {
     const float g_0_0 = iiwa_pose_f32_inner(B, B);
@@ -416,11 +472,22 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     float v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     float v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     float bound;
-    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_0_0), 88, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_1_1), 88, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_2_2), 87, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_3_3), 104, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_4_4), 104, 167) || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_5_5), 102, 167)) {
+    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_0_0), IIWA_POSE_F32_SQUARE_LOW_0,
+            IIWA_POSE_F32_SQUARE_HIGH_0)
+            || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_1_1), IIWA_POSE_F32_SQUARE_LOW_1,
+            IIWA_POSE_F32_SQUARE_HIGH_1)
+            || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_2_2), IIWA_POSE_F32_SQUARE_LOW_2,
+            IIWA_POSE_F32_SQUARE_HIGH_2)
+            || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_3_3), IIWA_POSE_F32_SQUARE_LOW_3,
+            IIWA_POSE_F32_SQUARE_HIGH_3)
+            || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_4_4), IIWA_POSE_F32_SQUARE_LOW_4,
+            IIWA_POSE_F32_SQUARE_HIGH_4)
+            || !iiwa_pose_f32_within(iiwa_pose_f32_biased_square(g_5_5), IIWA_POSE_F32_SQUARE_LOW_5,
+            IIWA_POSE_F32_SQUARE_HIGH_5)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > IIWA_POSE_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
@@ -435,7 +502,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     v_5_0 = g_5_0;
     l_5_0 = v_5_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > IIWA_POSE_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
@@ -448,7 +515,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     v_5_1 = g_5_1 - v_5_0 * l_1_0;
     l_5_1 = v_5_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 0.000024221818f * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > IIWA_POSE_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0f / d_2;
@@ -459,7 +526,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
     l_5_2 = v_5_2 * i_2;
     d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
-    if (!(d_3 > 0.000024221818f * g_3_3)) { /* bound exceeds g / d */
+    if (!(d_3 > IIWA_POSE_F32_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
     i_3 = 1.0f / d_3;
@@ -468,14 +535,14 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
     l_5_3 = v_5_3 * i_3;
     d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
-    if (!(d_4 > 0.000024221818f * g_4_4)) { /* bound exceeds g / d */
+    if (!(d_4 > IIWA_POSE_F32_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
     i_4 = 1.0f / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
-    if (!(d_5 > 0.000024221818f * g_5_5)) { /* bound exceeds g / d */
+    if (!(d_5 > IIWA_POSE_F32_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
     i_5 = 1.0f / d_5;
@@ -488,19 +555,24 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     n_4_3 = iiwa_pose_f32_abs(l_4_3);
     n_4_2 = iiwa_pose_f32_abs(l_4_2) + iiwa_pose_f32_abs(l_4_3) * n_3_2;
     n_4_1 = iiwa_pose_f32_abs(l_4_1) + iiwa_pose_f32_abs(l_4_2) * n_2_1 + iiwa_pose_f32_abs(l_4_3) * n_3_1;
-    n_4_0 = iiwa_pose_f32_abs(l_4_0) + iiwa_pose_f32_abs(l_4_1) * n_1_0 + iiwa_pose_f32_abs(l_4_2) * n_2_0 + iiwa_pose_f32_abs(l_4_3) * n_3_0;
+    n_4_0 = iiwa_pose_f32_abs(l_4_0) + iiwa_pose_f32_abs(l_4_1) * n_1_0 + iiwa_pose_f32_abs(l_4_2) * n_2_0
+        + iiwa_pose_f32_abs(l_4_3) * n_3_0;
     n_5_4 = iiwa_pose_f32_abs(l_5_4);
     n_5_3 = iiwa_pose_f32_abs(l_5_3) + iiwa_pose_f32_abs(l_5_4) * n_4_3;
     n_5_2 = iiwa_pose_f32_abs(l_5_2) + iiwa_pose_f32_abs(l_5_3) * n_3_2 + iiwa_pose_f32_abs(l_5_4) * n_4_2;
-    n_5_1 = iiwa_pose_f32_abs(l_5_1) + iiwa_pose_f32_abs(l_5_2) * n_2_1 + iiwa_pose_f32_abs(l_5_3) * n_3_1 + iiwa_pose_f32_abs(l_5_4) * n_4_1;
-    n_5_0 = iiwa_pose_f32_abs(l_5_0) + iiwa_pose_f32_abs(l_5_1) * n_1_0 + iiwa_pose_f32_abs(l_5_2) * n_2_0 + iiwa_pose_f32_abs(l_5_3) * n_3_0 + iiwa_pose_f32_abs(l_5_4) * n_4_0;
+    n_5_1 = iiwa_pose_f32_abs(l_5_1) + iiwa_pose_f32_abs(l_5_2) * n_2_1 + iiwa_pose_f32_abs(l_5_3) * n_3_1
+        + iiwa_pose_f32_abs(l_5_4) * n_4_1;
+    n_5_0 = iiwa_pose_f32_abs(l_5_0) + iiwa_pose_f32_abs(l_5_1) * n_1_0 + iiwa_pose_f32_abs(l_5_2) * n_2_0
+        + iiwa_pose_f32_abs(l_5_3) * n_3_0 + iiwa_pose_f32_abs(l_5_4) * n_4_0;
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
     bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
-    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
-    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
-    if (!(bound <= 41285.094f)) {
+    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3
+        + g_4_4);
+    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3
+        + n_5_4 * n_5_4 * g_4_4 + g_5_5);
+    if (!(bound <= IIWA_POSE_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -535,13 +607,16 @@ static void iiwa_pose_f32_normal_solve(const iiwa_pose_f32_normal *f, const floa
     const float a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
     const float a_3 = r[3] - f->lower[3] * a_0 - f->lower[4] * a_1 - f->lower[5] * a_2;
     const float a_4 = r[4] - f->lower[6] * a_0 - f->lower[7] * a_1 - f->lower[8] * a_2 - f->lower[9] * a_3;
-    const float a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3 - f->lower[14] * a_4;
+    const float a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3
+        - f->lower[14] * a_4;
     const float b_5 = f->inverse[5] * a_5;
     const float b_4 = f->inverse[4] * a_4 - f->lower[14] * b_5;
     const float b_3 = f->inverse[3] * a_3 - f->lower[13] * b_5 - f->lower[9] * b_4;
     const float b_2 = f->inverse[2] * a_2 - f->lower[12] * b_5 - f->lower[8] * b_4 - f->lower[5] * b_3;
-    const float b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3 - f->lower[2] * b_2;
-    const float b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    const float b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3
+        - f->lower[2] * b_2;
+    const float b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3
+        - f->lower[1] * b_2 - f->lower[0] * b_1;
     w[0] = b_0;
     w[1] = b_1;
     w[2] = b_2;
@@ -551,15 +626,16 @@ static void iiwa_pose_f32_normal_solve(const iiwa_pose_f32_normal *f, const floa
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct iiwa_pose_f32_line {
     float p[8];
     float l[8];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } iiwa_pose_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct iiwa_pose_f32_qr {
     iiwa_pose_f32_line line[6];
     iiwa_pose_f32_line *at[6];
     float left[6];    /* squared length of at[k]->p */
@@ -570,7 +646,8 @@ typedef struct {
 } iiwa_pose_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static IIWA_POSE_F32_NEAR float iiwa_pose_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static IIWA_POSE_F32_INLINE_WITH_VECTORS float iiwa_pose_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -607,7 +684,7 @@ static void iiwa_pose_f32_qr_reduce(iiwa_pose_f32_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= IIWA_POSE_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -640,8 +717,8 @@ static void iiwa_pose_f32_qr_factor(const float *B, iiwa_pose_f32_qr *f)
     iiwa_pose_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -669,19 +746,22 @@ static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
     n_4_3 = iiwa_pose_f32_abs(row_4[3]);
     n_4_2 = iiwa_pose_f32_abs(row_4[2]) + iiwa_pose_f32_abs(row_4[3]) * n_3_2;
     n_4_1 = iiwa_pose_f32_abs(row_4[1]) + iiwa_pose_f32_abs(row_4[2]) * n_2_1 + iiwa_pose_f32_abs(row_4[3]) * n_3_1;
-    n_4_0 = iiwa_pose_f32_abs(row_4[0]) + iiwa_pose_f32_abs(row_4[1]) * n_1_0 + iiwa_pose_f32_abs(row_4[2]) * n_2_0 + iiwa_pose_f32_abs(row_4[3]) * n_3_0;
+    n_4_0 = iiwa_pose_f32_abs(row_4[0]) + iiwa_pose_f32_abs(row_4[1]) * n_1_0 + iiwa_pose_f32_abs(row_4[2]) * n_2_0
+        + iiwa_pose_f32_abs(row_4[3]) * n_3_0;
     n_5_4 = iiwa_pose_f32_abs(row_5[4]);
     n_5_3 = iiwa_pose_f32_abs(row_5[3]) + iiwa_pose_f32_abs(row_5[4]) * n_4_3;
     n_5_2 = iiwa_pose_f32_abs(row_5[2]) + iiwa_pose_f32_abs(row_5[3]) * n_3_2 + iiwa_pose_f32_abs(row_5[4]) * n_4_2;
-    n_5_1 = iiwa_pose_f32_abs(row_5[1]) + iiwa_pose_f32_abs(row_5[2]) * n_2_1 + iiwa_pose_f32_abs(row_5[3]) * n_3_1 + iiwa_pose_f32_abs(row_5[4]) * n_4_1;
-    n_5_0 = iiwa_pose_f32_abs(row_5[0]) + iiwa_pose_f32_abs(row_5[1]) * n_1_0 + iiwa_pose_f32_abs(row_5[2]) * n_2_0 + iiwa_pose_f32_abs(row_5[3]) * n_3_0 + iiwa_pose_f32_abs(row_5[4]) * n_4_0;
+    n_5_1 = iiwa_pose_f32_abs(row_5[1]) + iiwa_pose_f32_abs(row_5[2]) * n_2_1 + iiwa_pose_f32_abs(row_5[3]) * n_3_1
+        + iiwa_pose_f32_abs(row_5[4]) * n_4_1;
+    n_5_0 = iiwa_pose_f32_abs(row_5[0]) + iiwa_pose_f32_abs(row_5[1]) * n_1_0 + iiwa_pose_f32_abs(row_5[2]) * n_2_0
+        + iiwa_pose_f32_abs(row_5[3]) * n_3_0 + iiwa_pose_f32_abs(row_5[4]) * n_4_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0f);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0f);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0f);
-    return bound * total < 50263390000.0f;
+    return bound * total < IIWA_POSE_F32_QR_LIMIT;
 }
 
 /* a b, over the 8 numbers (the last 2 zero) of the triangle's columns. */
@@ -710,9 +790,10 @@ static void iiwa_pose_f32_rotate(float *restrict a, float *restrict b, float s, 
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
-   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+/* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
 static int iiwa_pose_f32_jacobi(float *t, int count, float *square)
 {
@@ -722,8 +803,8 @@ static int iiwa_pose_f32_jacobi(float *t, int count, float *square)
         square[i] = iiwa_pose_f32_short(t + 8 * i, t + 8 * i);
         least += square[i];
     }
-    least *= 1.4210855e-14f;
-    for (sweep = 1; sweep <= 10; ++sweep) {
+    least *= IIWA_POSE_F32_NEGLIGIBLE;
+    for (sweep = 1; sweep <= IIWA_POSE_F32_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             float *const a = t + 8 * i;
@@ -748,20 +829,21 @@ static int iiwa_pose_f32_jacobi(float *t, int count, float *square)
                 const float product = square[i] * square[j];
                 const float gap = square[i] - square[j];
                 float h, c, s;
-                if (inner * inner <= 2.4868994e-14f * product) {
+                if (inner * inner <= IIWA_POSE_F32_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 4.2987836e-13f * product) { /* more than rounding can bring back */
+                if (inner * inner > IIWA_POSE_F32_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = iiwa_pose_f32_sqrt(gap * gap + 4.0f * inner * inner);
                 c = iiwa_pose_f32_sqrt(0.5f + 0.5f * (iiwa_pose_f32_abs(gap) / h));
                 s = gap < 0.0f ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0f + c));
                 s /= h;
@@ -777,8 +859,8 @@ static int iiwa_pose_f32_jacobi(float *t, int count, float *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int iiwa_pose_f32_svd(const iiwa_pose_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -787,7 +869,7 @@ static int iiwa_pose_f32_svd(const iiwa_pose_f32_qr *f, float *left, float *sigm
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * iiwa_pose_f32_sqrt(f->left[k]);
+        const float length = IIWA_POSE_F32_LIFT * iiwa_pose_f32_sqrt(f->left[k]);
         for (i = k; i < 6; ++i) {
             left[8 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
@@ -799,7 +881,7 @@ static int iiwa_pose_f32_svd(const iiwa_pose_f32_qr *f, float *left, float *sigm
     for (k = 0; k < f->steps; ++k) {
         const float length = iiwa_pose_f32_sqrt(sigma[k]);
         const float inverse = length > 0.0f ? 1.0f / length : 0.0f;
-        sigma[k] = 9.536743e-7f * length;
+        sigma[k] = IIWA_POSE_F32_LOWER * length;
         for (i = 0; i < 8; ++i) {
             left[8 * k + i] *= inverse;
         }
@@ -807,9 +889,9 @@ static int iiwa_pose_f32_svd(const iiwa_pose_f32_qr *f, float *left, float *sigm
     return sweeps;
 }
 
-typedef struct {
+typedef struct iiwa_pose_f32_factors {
     float B[48];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[6];   /* -16384 where a row counts as zero */
+    int exponent[6];   /* IIWA_POSE_F32_NO_EXPONENT where a row counts as zero */
     iiwa_pose_f32_normal normal;
     iiwa_pose_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -834,9 +916,10 @@ static const float iiwa_pose_f32_atol[6] = {
     0.000030517578f
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void iiwa_pose_f32_undo_scaling(iiwa_pose_f32_factors *f, int top)
 {
     float F[36]; /* column k in F + 6 k; reflections below the diagonal, R above */
@@ -854,7 +937,7 @@ static void iiwa_pose_f32_undo_scaling(iiwa_pose_f32_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 6; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[6 * k + i] = exponent == -16384 ? 0.0f :
+            F[6 * k + i] = exponent == IIWA_POSE_F32_NO_EXPONENT ? 0.0f :
                 iiwa_pose_f32_shift(f->left[6 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -931,18 +1014,19 @@ static void iiwa_pose_f32_undo_scaling(iiwa_pose_f32_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is IIWA_POSE_F32_NO_EXPONENT. */
 static void iiwa_pose_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 6; ++i) {
         const float *const row = S + 7 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -IIWA_POSE_F32_EXPONENT_MAX && exponent[i] <= -IIWA_POSE_F32_EXPONENT_MIN) {
             iiwa_pose_f32_spread(row, iiwa_pose_f32_power(-exponent[i]), B + 8 * i);
         } else {
             float shifted[7];
             for (j = 0; j < 7; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : iiwa_pose_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == IIWA_POSE_F32_NO_EXPONENT
+                    ? 0.0f : iiwa_pose_f32_shift(row[j], -exponent[i]);
             }
             iiwa_pose_f32_spread(shifted, 1.0f, B + 8 * i);
         }
@@ -1005,8 +1089,10 @@ static void iiwa_pose_f32_vectors(iiwa_pose_f32_factors *f, const float *u)
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise_svd(const float *S, iiwa_pose_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_factorise_svd(const float *S, iiwa_pose_f32_factors *f, int top,
+    int bottom)
 {
     float u[48];
     int i;
@@ -1016,7 +1102,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise_svd(const float *S, iiwa_
     }
     f->rank = 0;
     for (i = 0; i < 6; ++i) {
-        f->rank += f->sigma[i] > 0.000000834465f * f->sigma[0];
+        f->rank += f->sigma[i] > IIWA_POSE_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 6;
     if (!f->direct) {
@@ -1024,7 +1110,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise_svd(const float *S, iiwa_
         if (f->rank > 0 && bottom != top) {
             iiwa_pose_f32_undo_scaling(f, top);
             for (i = 0; i < 6; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == IIWA_POSE_F32_NO_EXPONENT ? IIWA_POSE_F32_NO_EXPONENT : top;
             }
             iiwa_pose_f32_scale(S, f->exponent, f->B);
         }
@@ -1033,19 +1119,19 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise_svd(const float *S, iiwa_
 }
 
 /* The ladder, from the step `from` on. */
-static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise(const float *S, iiwa_pose_f32_factors *f, int from)
+static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_factorise(const float *S, iiwa_pose_f32_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = IIWA_POSE_F32_NO_EXPONENT;
+    int bottom = -IIWA_POSE_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 6; ++i) {
         iiwa_pose_f32_word word;
         word.bits = iiwa_pose_f32_largest(S + 7 * i, 7);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= IIWA_POSE_F32_INFINITY_BITS) {
             return IIWA_POSE_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = IIWA_POSE_F32_NO_EXPONENT;
         if (word.value > iiwa_pose_f32_atol[i]) {
             f->exponent[i] = iiwa_pose_f32_length(S + 7 * i, iiwa_pose_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -1078,7 +1164,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_factorise(const float *S, iiwa_pose
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static IIWA_POSE_F32_APART float iiwa_pose_f32_sigma_min(const float *S, iiwa_pose_f32_factors *f)
+static IIWA_POSE_F32_NOINLINE float iiwa_pose_f32_sigma_min(const float *S, iiwa_pose_f32_factors *f)
 {
     const uint32_t magnitude = iiwa_pose_f32_largest(S, 42);
     const int top = magnitude == 0 ? 0 : iiwa_pose_f32_exponent(magnitude);
@@ -1095,12 +1181,12 @@ static IIWA_POSE_F32_APART float iiwa_pose_f32_sigma_min(const float *S, iiwa_po
     return iiwa_pose_f32_shift(f->sigma[5], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int iiwa_pose_f32_refuse(int status, iiwa_pose_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = IIWA_POSE_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -1109,8 +1195,9 @@ static int iiwa_pose_f32_refuse(int status, iiwa_pose_f32_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= IIWA_POSE_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_pose_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
 {
@@ -1119,7 +1206,7 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[6];
-    int top = -16384;
+    int top = IIWA_POSE_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -1127,9 +1214,9 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 7; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : iiwa_pose_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == IIWA_POSE_F32_NO_EXPONENT ? 0.0f : iiwa_pose_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != IIWA_POSE_F32_NO_EXPONENT) {
             const float yj = iiwa_pose_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1139,17 +1226,18 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
         const float *const row = S + 7 * i;
         const int row_unit = iiwa_pose_f32_exponent(iiwa_pose_f32_largest(row, 7));
         const int z_unit = iiwa_pose_f32_exponent(iiwa_pose_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == IIWA_POSE_F32_NO_EXPONENT || tau_unit == IIWA_POSE_F32_NO_EXPONENT
+            ? IIWA_POSE_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == IIWA_POSE_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != IIWA_POSE_F32_NO_EXPONENT) {
             for (j = 0; j < 7; ++j) {
                 const float s = iiwa_pose_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1159,21 +1247,22 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
         }
         target = iiwa_pose_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 0.00000667572f * (scale * iiwa_pose_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += iiwa_pose_f32_shift(iiwa_pose_f32_atol[i], tau_unit - unit[i]) * norm * 2.6457512f;
+        allowed = IIWA_POSE_F32_CONSISTENCY
+            * (scale * iiwa_pose_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != IIWA_POSE_F32_NO_EXPONENT) {
+            allowed += iiwa_pose_f32_shift(iiwa_pose_f32_atol[i], tau_unit - unit[i]) * norm * IIWA_POSE_F32_ROOT_L;
         }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 6; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != IIWA_POSE_F32_NO_EXPONENT) {
             rest[i] = iiwa_pose_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : iiwa_pose_f32_shift(iiwa_pose_f32_sqrt(norm), top);
+    *residual = top == IIWA_POSE_F32_NO_EXPONENT ? 0.0f : iiwa_pose_f32_shift(iiwa_pose_f32_sqrt(norm), top);
     return met;
 }
 
@@ -1192,7 +1281,8 @@ static void iiwa_pose_f32_qr_apply(const iiwa_pose_f32_qr *f, const float *restr
     const iiwa_pose_f32_line *const p_4 = f->at[4];
     const float w_4 = p_4->unit * r[p_4->row] - p_4->l[0] * w_0 - p_4->l[1] * w_1 - p_4->l[2] * w_2 - p_4->l[3] * w_3;
     const iiwa_pose_f32_line *const p_5 = f->at[5];
-    const float w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3 - p_5->l[4] * w_4;
+    const float w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3
+        - p_5->l[4] * w_4;
     float c_0 = w_0 * f->inverse[0];
     float c_1 = w_1 * f->inverse[1];
     float c_2 = w_2 * f->inverse[2];
@@ -1205,27 +1295,32 @@ static void iiwa_pose_f32_qr_apply(const iiwa_pose_f32_qr *f, const float *restr
         c_3 = (w_3 - f->cross[13] * c_5 - f->cross[9] * c_4) * f->inverse[3];
         c_2 = (w_2 - f->cross[12] * c_5 - f->cross[8] * c_4 - f->cross[5] * c_3) * f->inverse[2];
         c_1 = (w_1 - f->cross[11] * c_5 - f->cross[7] * c_4 - f->cross[4] * c_3 - f->cross[2] * c_2) * f->inverse[1];
-        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
+        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2
+            - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j] + c_5 * p_5->p[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j]
+            + c_5 * p_5->p[j];
     }
 }
 
 /* x = S+ r from the normal equations. */
-static void iiwa_pose_f32_normal_apply(const iiwa_pose_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void iiwa_pose_f32_normal_apply(const iiwa_pose_f32_normal *f, const float *B, const float *restrict r,
+    float *restrict x)
 {
     float w[6];
     int j;
     iiwa_pose_f32_normal_solve(f, r, w);
-    IIWA_POSE_F32_WRITTEN_OUT
+    IIWA_POSE_F32_UNROLL
     for (j = 0; j < 8; ++j) {
-        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
+        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32]
+            + w[5] * B[j + 40];
     }
 }
 
 /* r = z - B t. */
-static IIWA_POSE_F32_NEAR void iiwa_pose_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static IIWA_POSE_F32_INLINE_WITH_VECTORS void iiwa_pose_f32_residual(const float *B, const float *z, const float *t,
+    float *restrict r)
 {
     r[0] = z[0] - iiwa_pose_f32_inner(B, t);
     r[1] = z[1] - iiwa_pose_f32_inner(B + 8, t);
@@ -1263,14 +1358,16 @@ static void iiwa_pose_f32_apply(const iiwa_pose_f32_factors *f, const float *r, 
     }
 }
 
-static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, iiwa_pose_f32_info *info, int from)
+static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_solve_scaled(const float *S, const float *z, const float *y,
+    float *tau, iiwa_pose_f32_info *info, int from)
 {
     iiwa_pose_f32_factors f;
     float zs[6], ys[8], r[6], x[8], answer[7];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = IIWA_POSE_F32_NO_EXPONENT;
     int status, i, j;
-    if (iiwa_pose_f32_largest(z, 6) >= UINT32_C(0x7f800000) || (y != NULL && iiwa_pose_f32_largest(y, 7) >= UINT32_C(0x7f800000))) {
+    if (iiwa_pose_f32_largest(z, 6) >= IIWA_POSE_F32_INFINITY_BITS
+            || (y != NULL && iiwa_pose_f32_largest(y, 7) >= IIWA_POSE_F32_INFINITY_BITS)) {
         return iiwa_pose_f32_refuse(IIWA_POSE_F32_NONFINITE, info);
     }
     status = iiwa_pose_f32_factorise(S, &f, from);
@@ -1283,18 +1380,19 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_scaled(const float *S, const 
     }
     for (i = 0; i < 6; ++i) {
         const int own = iiwa_pose_f32_exponent(iiwa_pose_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != IIWA_POSE_F32_NO_EXPONENT && own != IIWA_POSE_F32_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == IIWA_POSE_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (j = 0; j < 8; ++j) {
         ys[j] = 0.0f;
     }
     for (i = 0; i < 6; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : iiwa_pose_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == IIWA_POSE_F32_NO_EXPONENT ? 0.0f : iiwa_pose_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 7; ++j) {
         ys[(j < 4 ? j : j + 1)] = y == NULL ? 0.0f : iiwa_pose_f32_shift(y[j], -unit);
@@ -1316,7 +1414,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_scaled(const float *S, const 
             answer[j] += iiwa_pose_f32_shift(x[(j < 4 ? j : j + 1)], unit);
         }
     }
-    if (iiwa_pose_f32_largest(answer, 7) >= UINT32_C(0x7f800000)) {
+    if (iiwa_pose_f32_largest(answer, 7) >= IIWA_POSE_F32_INFINITY_BITS) {
         return iiwa_pose_f32_refuse(IIWA_POSE_F32_OVERFLOW, info);
     }
     if (f.rank < 6 || info != NULL) {
@@ -1339,7 +1437,8 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_scaled(const float *S, const 
     return status;
 }
 
-static IIWA_POSE_F32_APART void iiwa_pose_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, iiwa_pose_f32_info *info)
+static IIWA_POSE_F32_NOINLINE void iiwa_pose_f32_report(const float *S, const float *z, const float *y,
+    const float *tau, int path, iiwa_pose_f32_info *info)
 {
     iiwa_pose_f32_factors f;
     (void)iiwa_pose_f32_consistent(S, z, y, tau, &info->residual);
@@ -1352,7 +1451,8 @@ static IIWA_POSE_F32_APART void iiwa_pose_f32_report(const float *S, const float
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSE_F32_NEAR void iiwa_pose_f32_correct(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static IIWA_POSE_F32_INLINE_WITH_VECTORS void iiwa_pose_f32_correct(const iiwa_pose_f32_normal *normal,
+    const iiwa_pose_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         iiwa_pose_f32_qr_apply(qr, r, x, careful);
@@ -1362,7 +1462,8 @@ static IIWA_POSE_F32_NEAR void iiwa_pose_f32_correct(const iiwa_pose_f32_normal 
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static IIWA_POSE_F32_NEAR int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr, const float *S, const float *B,
+static IIWA_POSE_F32_INLINE_WITH_VECTORS int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *normal,
+    const iiwa_pose_f32_qr *qr, const float *S, const float *B,
     const float *z, const float *y, float *tau, iiwa_pose_f32_info *info)
 {
     float r[6], x[8], step[8];
@@ -1387,7 +1488,8 @@ static IIWA_POSE_F32_NEAR int iiwa_pose_f32_answer(const iiwa_pose_f32_normal *n
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(iiwa_pose_f32_inner(x, x)), 27, 237)) {
+    if (!iiwa_pose_f32_within(iiwa_pose_f32_biased_square(iiwa_pose_f32_inner(x, x)), IIWA_POSE_F32_ANSWER_LOW,
+            IIWA_POSE_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
@@ -1406,10 +1508,10 @@ static int iiwa_pose_f32_qr_scaled(const float *B, iiwa_pose_f32_qr *f)
     int i, j;
     for (i = 0; i < 6; ++i) {
         f->left[i] = iiwa_pose_f32_inner(B + 8 * i, B + 8 * i);
-        exponent[i] = (iiwa_pose_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        exponent[i] = (iiwa_pose_f32_biased(f->left[i]) + IIWA_POSE_F32_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 6; ++i) {
-        const float unit = iiwa_pose_f32_power(127 - (int)exponent[i]);
+        const float unit = iiwa_pose_f32_power(IIWA_POSE_F32_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 8; ++j) {
             f->line[i].p[j] = unit * B[8 * i + j];
         }
@@ -1421,7 +1523,8 @@ static int iiwa_pose_f32_qr_scaled(const float *B, iiwa_pose_f32_qr *f)
     return iiwa_pose_f32_qr_certified(f);
 }
 
-static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, iiwa_pose_f32_info *info)
+static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_solve_qr(const float *S, const float *z, const float *y, float *tau,
+    iiwa_pose_f32_info *info)
 {
     iiwa_pose_f32_qr f;
     float B[48];
@@ -1438,7 +1541,8 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_solve_qr(const float *S, const floa
     return iiwa_pose_f32_solve_scaled(S, z, y, tau, info, IIWA_POSE_F32_PATH_QR);
 }
 
-static int iiwa_pose_f32_solve_core(const float *S, const float *z, const float *y, float *tau, iiwa_pose_f32_info *info)
+static int iiwa_pose_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    iiwa_pose_f32_info *info)
 {
     iiwa_pose_f32_normal f;
     int held;
@@ -1461,7 +1565,7 @@ static int iiwa_pose_f32_solve_core(const float *S, const float *z, const float 
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static IIWA_POSE_F32_APART int iiwa_pose_f32_pinv_core(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
+static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_pinv_core(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
 {
     iiwa_pose_f32_factors f;
     float unit[6], x[8], answer[42];
@@ -1474,7 +1578,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_pinv_core(const float *S, float *S_
         unit[i] = 0.0f;
     }
     for (i = 0; i < 6; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == IIWA_POSE_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         iiwa_pose_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1482,7 +1586,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_pinv_core(const float *S, float *S_
             answer[6 * j + i] = zero_row ? 0.0f : iiwa_pose_f32_shift(x[(j < 4 ? j : j + 1)], -f.exponent[i]);
         }
     }
-    if (iiwa_pose_f32_largest(answer, 42) >= UINT32_C(0x7f800000)) {
+    if (iiwa_pose_f32_largest(answer, 42) >= IIWA_POSE_F32_INFINITY_BITS) {
         return iiwa_pose_f32_refuse(IIWA_POSE_F32_OVERFLOW, info);
     }
     status = f.rank < 6 ? IIWA_POSE_F32_RANK_DEFICIENT_CONSISTENT : IIWA_POSE_F32_OK;
@@ -1500,7 +1604,7 @@ static IIWA_POSE_F32_APART int iiwa_pose_f32_pinv_core(const float *S, float *S_
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void iiwa_pose_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1511,10 +1615,11 @@ static void iiwa_pose_f32_copy(const float *from, float *to, int n)
 
 static int iiwa_pose_f32_finite(const float *x, int n)
 {
-    return iiwa_pose_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return iiwa_pose_f32_largest(x, n) < IIWA_POSE_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* IIWA_POSE_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
+   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int iiwa_pose_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1529,7 +1634,7 @@ static int iiwa_pose_f32_mass_status(const float *pivot, const float *scale, int
     return IIWA_POSE_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int iiwa_pose_f32_input_finite(const iiwa_pose_f32_input *in)
 {
     return iiwa_pose_f32_finite(in->q, 7)
@@ -1540,17 +1645,8 @@ static int iiwa_pose_f32_input_finite(const iiwa_pose_f32_input *in)
            && iiwa_pose_f32_finite(in->o, 4);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define IIWA_POSE_F32_COLD __attribute__((noinline, cold))
-#define IIWA_POSE_F32_SMALL inline __attribute__((always_inline))
-#else
-#define IIWA_POSE_F32_COLD
-#define IIWA_POSE_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static IIWA_POSE_F32_COLD int iiwa_pose_f32_reason(int status, const iiwa_pose_f32_input *in)
 {
     if (!iiwa_pose_f32_input_finite(in)) {
@@ -1562,6 +1658,7 @@ static IIWA_POSE_F32_COLD int iiwa_pose_f32_reason(int status, const iiwa_pose_f
 static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
 {
     (void)model;
+    /* towards psi */
     const iiwa_pose_f32_pair t0 = iiwa_pose_f32_sincos(in->q[5]);
     const iiwa_pose_f32_pair t1 = iiwa_pose_f32_sincos(in->q[3]);
     const iiwa_pose_f32_pair t2 = iiwa_pose_f32_sincos(in->q[1]);
@@ -1756,16 +1853,21 @@ static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_
 }
 
 
-static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
+static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S,
+    float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards S, pivots of Q */
     const iiwa_pose_f32_pair t0 = iiwa_pose_f32_sincos(in->q[5]);
     const iiwa_pose_f32_pair t1 = iiwa_pose_f32_sincos(in->q[3]);
     const iiwa_pose_f32_pair t2 = iiwa_pose_f32_sincos(in->q[1]);
+    /* towards S */
     const iiwa_pose_f32_pair t3 = iiwa_pose_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S, pivots of Q */
     const iiwa_pose_f32_pair t6 = iiwa_pose_f32_sincos(in->q[2]);
+    /* towards S */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -1775,7 +1877,9 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S, pivots of Q */
     const iiwa_pose_f32_pair t16 = iiwa_pose_f32_sincos(in->q[4]);
+    /* towards S */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -1819,6 +1923,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t57 = t55 + t56;
     const float t58 = 0.42f * t33;
     const float t59 = t57 + t58;
+    /* towards S, pivots of Q */
     const float t60 = t1.cos * t2.cos;
     const float t61 = t2.sin * t6.cos;
     const float t62 = t1.sin * t61;
@@ -1828,12 +1933,15 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t66 = t1.sin * t2.cos;
     const float t67 = t66 - t64;
     const float t68 = t16.cos * t67;
+    /* towards S */
     const float t69 = t16.sin * t67;
+    /* towards S, pivots of Q */
     const float t70 = t2.sin * t6.sin;
     const float t71 = t16.sin * t70;
     const float t72 = t68 + t71;
     const float t73 = t0.sin * t72;
     const float t74 = t65 + t73;
+    /* towards S */
     const float t75 = t0.cos * t72;
     const float t76 = 0.081f * t74;
     const float t77 = 0.4f * t63;
@@ -1951,6 +2059,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t189 = 0.5f * t188;
     const float t190 = t53 * t116;
     const float t191 = t181 + t190;
+    /* towards S, pivots of Q */
     const float t192 = t0.cos * 0.012552f;
     const float t193 = -0.008760948f - t192;
     const float t194 = t16.sin * t193;
@@ -1992,12 +2101,14 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t230 = t212 - t229;
     const float t231 = t228 * 114.1429f;
     const float t232 = t228 * t231;
+    /* towards S */
     const float t233 = t55 * t87;
     const float t234 = t76 * t126;
     const float t235 = t233 - t234;
     const float t236 = t231 * t235;
     const float t237 = t59 + t236;
     const float t238 = t3.sin * t59;
+    /* towards S, pivots of Q */
     const float t239 = t0.cos * 0.005460948f;
     const float t240 = t0.cos * t239;
     const float t241 = 0.012552f + t239;
@@ -2049,6 +2160,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t287 = 1.0f / t286;
     const float t288 = t283 * t287;
     const float t289 = t283 * t288;
+    /* towards S */
     const float t290 = t41 * t76;
     const float t291 = t55 * t63;
     const float t292 = t290 - t291;
@@ -2056,6 +2168,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t294 = t292 + t293;
     const float t295 = t288 * t294;
     const float t296 = t237 + t295;
+    /* towards S, pivots of Q */
     const float t297 = t245 - 0.006199988f;
     const float t298 = t16.cos * t297;
     const float t299 = t215 + t215;
@@ -2115,6 +2228,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t353 = 1.0f / t352;
     const float t354 = t347 * t353;
     const float t355 = t347 * t354;
+    /* towards S */
     const float t356 = t57 * t70;
     const float t357 = t49 * t78;
     const float t358 = t356 - t357;
@@ -2124,6 +2238,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t362 = t360 - t361;
     const float t363 = t354 * t362;
     const float t364 = t296 + t363;
+    /* towards S, pivots of Q */
     const float t365 = t307 - t333;
     const float t366 = t1.cos * t365;
     const float t367 = t366 - t258;
@@ -2173,6 +2288,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t411 = 1.0f / t410;
     const float t412 = t403 * t411;
     const float t413 = t403 * t412;
+    /* towards S */
     const float t414 = t33 * t78;
     const float t415 = t2.cos * t57;
     const float t416 = t414 - t415;
@@ -2184,6 +2300,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t422 = t420 - t421;
     const float t423 = t412 * t422;
     const float t424 = t364 + t423;
+    /* towards S, pivots of Q */
     const float t425 = t372 - t308;
     const float t426 = t6.cos * t425;
     const float t427 = t6.sin * t317;
@@ -2251,6 +2368,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t489 = t469 * t488;
     const float t490 = t469 * t489;
     const float t491 = t484 - t490;
+    /* towards S */
     const float t492 = t3.cos * t80;
     const float t493 = t3.sin * t80;
     const float t494 = t235 * t446;
@@ -2304,6 +2422,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t542 = t522 * t309;
     const float t543 = t0.cos * t530;
     const float t544 = t542 - t543;
+    /* towards S, pivots of Q */
     const float t545 = t1.sin * t310;
     const float t546 = t1.cos * t310;
     const float t547 = t0.cos * t1.cos;
@@ -2312,6 +2431,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t550 = t546 - t549;
     const float t551 = t6.sin * t550;
     const float t552 = t551 + t440;
+    /* towards S */
     const float t553 = t516 * t548;
     const float t554 = t544 - t553;
     const float t555 = t512 * t552;
@@ -2844,6 +2964,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     const float t1082 = t1080 - t1081;
     const float t1083 = t74 * t1043;
     const float t1084 = t1082 - t1083;
+    /* towards pivots of Q */
     const float t1085 = t0.cos * 0.001f;
     const float t1086 = t0.cos * t1085;
     const float t1087 = t247 + t1086;
@@ -2902,7 +3023,7 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     S[39] = t1063;
     S[40] = t1074;
     S[41] = t1084;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t286;
     mass_scale[0] = t1087;
     mass_pivot[1] = t352;
@@ -2916,16 +3037,21 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
 }
 
 
-static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
+static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z,
+    float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards z, pivots of Q */
     const iiwa_pose_f32_pair t0 = iiwa_pose_f32_sincos(in->q[5]);
     const iiwa_pose_f32_pair t1 = iiwa_pose_f32_sincos(in->q[3]);
     const iiwa_pose_f32_pair t2 = iiwa_pose_f32_sincos(in->q[1]);
+    /* towards z */
     const iiwa_pose_f32_pair t3 = iiwa_pose_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards z, pivots of Q */
     const iiwa_pose_f32_pair t6 = iiwa_pose_f32_sincos(in->q[2]);
+    /* towards z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -2935,7 +3061,9 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards z, pivots of Q */
     const iiwa_pose_f32_pair t16 = iiwa_pose_f32_sincos(in->q[4]);
+    /* towards z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -2981,6 +3109,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t59 = t57 + t58;
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards z, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -2990,12 +3119,15 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards z */
     const float t71 = t16.sin * t69;
+    /* towards z, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
@@ -3121,6 +3253,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t199 = t54 * t121;
     const float t200 = t190 + t199;
     const float t201 = t193 - t198;
+    /* towards z, pivots of Q */
     const float t202 = t0.cos * 0.012552f;
     const float t203 = -0.008760948f - t202;
     const float t204 = t16.sin * t203;
@@ -3162,11 +3295,13 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t240 = t222 - t239;
     const float t241 = t238 * 114.1429f;
     const float t242 = t238 * t241;
+    /* towards z */
     const float t243 = t55 * t92;
     const float t244 = t77 * t132;
     const float t245 = t243 - t244;
     const float t246 = t241 * t245;
     const float t247 = t59 + t246;
+    /* towards z, pivots of Q */
     const float t248 = t0.cos * 0.005460948f;
     const float t249 = t0.cos * t248;
     const float t250 = 0.012552f + t248;
@@ -3218,6 +3353,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t296 = 1.0f / t295;
     const float t297 = t292 * t296;
     const float t298 = t292 * t297;
+    /* towards z */
     const float t299 = t42 * t77;
     const float t300 = t55 * t65;
     const float t301 = t299 - t300;
@@ -3226,6 +3362,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t304 = t301 * in->u[4];
     const float t305 = t297 * t303;
     const float t306 = t247 + t305;
+    /* towards z, pivots of Q */
     const float t307 = t254 - 0.006199988f;
     const float t308 = t16.cos * t307;
     const float t309 = t225 + t225;
@@ -3283,6 +3420,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t361 = 1.0f / t360;
     const float t362 = t355 * t361;
     const float t363 = t355 * t362;
+    /* towards z */
     const float t364 = t57 * t72;
     const float t365 = t50 * t79;
     const float t366 = t364 - t365;
@@ -3293,6 +3431,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t371 = t368 - t370;
     const float t372 = t362 * t371;
     const float t373 = t306 + t372;
+    /* towards z, pivots of Q */
     const float t374 = t317 - t341;
     const float t375 = t1.cos * t374;
     const float t376 = t375 - t267;
@@ -3342,6 +3481,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t420 = 1.0f / t419;
     const float t421 = t412 * t420;
     const float t422 = t412 * t421;
+    /* towards z */
     const float t423 = t34 * t79;
     const float t424 = t2.cos * t57;
     const float t425 = t423 - t424;
@@ -3354,6 +3494,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t432 = t430 - t431;
     const float t433 = t421 * t432;
     const float t434 = t373 + t433;
+    /* towards z, pivots of Q */
     const float t435 = t381 - t318;
     const float t436 = t6.cos * t435;
     const float t437 = t6.sin * t325;
@@ -3420,6 +3561,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t498 = t479 * t497;
     const float t499 = t479 * t498;
     const float t500 = t496 - t499;
+    /* towards z */
     const float t501 = t3.cos * t81;
     const float t502 = t3.sin * t81;
     const float t503 = t245 * t455;
@@ -3433,6 +3575,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t511 = t509 - t510;
     const float t512 = t498 * t511;
     const float t513 = t434 + t512;
+    /* towards z, pivots of Q */
     const float t514 = t0.sin * t16.sin;
     const float t515 = t0.sin * t16.cos;
     const float t516 = t1.sin * t515;
@@ -3444,6 +3587,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t522 = t6.sin * t521;
     const float t523 = t6.cos * t514;
     const float t524 = t522 + t523;
+    /* towards z */
     const float t525 = t77 * t156;
     const float t526 = t13 * t77;
     const float t527 = t27 * t92;
@@ -4420,6 +4564,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     const float t1498 = t1486 + t1497;
     const float t1499 = (-t1494) - t1345;
     const float t1500 = (-t1498) - t1348;
+    /* towards pivots of Q */
     const float t1501 = t0.cos * 0.001f;
     const float t1502 = t0.cos * t1501;
     const float t1503 = t256 + t1502;
@@ -4442,7 +4587,7 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     z[3] = t1470;
     z[4] = t1499;
     z[5] = t1500;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1503;
     mass_pivot[1] = t360;
@@ -4456,16 +4601,21 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
 }
 
 
-static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
+static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z,
+    float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_f32_pair t0 = iiwa_pose_f32_sincos(in->q[5]);
     const iiwa_pose_f32_pair t1 = iiwa_pose_f32_sincos(in->q[3]);
     const iiwa_pose_f32_pair t2 = iiwa_pose_f32_sincos(in->q[1]);
+    /* towards S, z */
     const iiwa_pose_f32_pair t3 = iiwa_pose_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_f32_pair t6 = iiwa_pose_f32_sincos(in->q[2]);
+    /* towards S, z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -4475,7 +4625,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_f32_pair t16 = iiwa_pose_f32_sincos(in->q[4]);
+    /* towards S, z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -4491,8 +4643,10 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t29 = t27 + t28;
     const float t30 = t4 * 0.42f;
     const float t31 = t29 + t30;
+    /* towards z */
     const float t32 = t31 - in->r[0];
     const float t33 = t32 * 100.0f;
+    /* towards S, z */
     const float t34 = t2.sin * t3.sin;
     const float t35 = t1.cos * t34;
     const float t36 = t2.cos * t3.sin;
@@ -4519,8 +4673,10 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t57 = t55 + t56;
     const float t58 = 0.42f * t34;
     const float t59 = t57 + t58;
+    /* towards z */
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards S, z, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -4530,20 +4686,25 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards S, z */
     const float t71 = t16.sin * t69;
+    /* towards S, z, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards S, z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
     const float t80 = t2.cos * 0.42f;
     const float t81 = t79 + t80;
+    /* towards z */
     const float t82 = t81 + 0.36f;
     const float t83 = t82 - in->r[2];
     const float t84 = t83 * 100.0f;
+    /* towards S, z */
     const iiwa_pose_f32_pair t85 = iiwa_pose_f32_sincos(in->q[6]);
     const float t86 = t0.sin * t65;
     const float t87 = t0.cos * t74;
@@ -4608,7 +4769,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t146 = t54 * t105;
     const float t147 = t145 + t146;
     const float t148 = 0.5f * t147;
+    /* towards z */
     const float t149 = t125 - t148;
+    /* towards S, z */
     const float t150 = t0.cos * t23;
     const float t151 = t13 * t0.sin;
     const float t152 = t150 + t151;
@@ -4637,7 +4800,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t175 = t76 * t143;
     const float t176 = t169 + t175;
     const float t177 = 0.5f * t176;
+    /* towards z */
     const float t178 = t172 - t177;
+    /* towards S, z */
     const float t179 = t134 * t114;
     const float t180 = t158 * t114;
     const float t181 = t104 * t158;
@@ -4660,7 +4825,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t198 = 0.5f * t197;
     const float t199 = t54 * t121;
     const float t200 = t190 + t199;
+    /* towards z */
     const float t201 = t193 - t198;
+    /* towards S, z, pivots of Q */
     const float t202 = t0.cos * 0.012552f;
     const float t203 = -0.008760948f - t202;
     const float t204 = t16.sin * t203;
@@ -4702,11 +4869,13 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t240 = t222 - t239;
     const float t241 = t238 * 114.1429f;
     const float t242 = t238 * t241;
+    /* towards S, z */
     const float t243 = t55 * t92;
     const float t244 = t77 * t132;
     const float t245 = t243 - t244;
     const float t246 = t241 * t245;
     const float t247 = t59 + t246;
+    /* towards S, z, pivots of Q */
     const float t248 = t0.cos * 0.005460948f;
     const float t249 = t0.cos * t248;
     const float t250 = 0.012552f + t248;
@@ -4758,14 +4927,18 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t296 = 1.0f / t295;
     const float t297 = t292 * t296;
     const float t298 = t292 * t297;
+    /* towards S, z */
     const float t299 = t42 * t77;
     const float t300 = t55 * t65;
     const float t301 = t299 - t300;
     const float t302 = t245 * t293;
     const float t303 = t301 + t302;
+    /* towards z */
     const float t304 = t301 * in->u[4];
+    /* towards S, z */
     const float t305 = t297 * t303;
     const float t306 = t247 + t305;
+    /* towards S, z, pivots of Q */
     const float t307 = t254 - 0.006199988f;
     const float t308 = t16.cos * t307;
     const float t309 = t225 + t225;
@@ -4823,16 +4996,20 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t361 = 1.0f / t360;
     const float t362 = t355 * t361;
     const float t363 = t355 * t362;
+    /* towards S, z */
     const float t364 = t57 * t72;
     const float t365 = t50 * t79;
     const float t366 = t364 - t365;
     const float t367 = t245 * t351;
     const float t368 = t366 - t367;
+    /* towards z */
     const float t369 = t366 * in->u[3];
+    /* towards S, z */
     const float t370 = t303 * t358;
     const float t371 = t368 - t370;
     const float t372 = t362 * t371;
     const float t373 = t306 + t372;
+    /* towards S, z, pivots of Q */
     const float t374 = t317 - t341;
     const float t375 = t1.cos * t374;
     const float t376 = t375 - t267;
@@ -4882,18 +5059,22 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t420 = 1.0f / t419;
     const float t421 = t412 * t420;
     const float t422 = t412 * t421;
+    /* towards S, z */
     const float t423 = t34 * t79;
     const float t424 = t2.cos * t57;
     const float t425 = t423 - t424;
     const float t426 = t245 * t401;
     const float t427 = t425 - t426;
+    /* towards z */
     const float t428 = t425 * in->u[2];
+    /* towards S, z */
     const float t429 = t303 * t408;
     const float t430 = t427 - t429;
     const float t431 = t371 * t417;
     const float t432 = t430 - t431;
     const float t433 = t421 * t432;
     const float t434 = t373 + t433;
+    /* towards S, z, pivots of Q */
     const float t435 = t381 - t318;
     const float t436 = t6.cos * t435;
     const float t437 = t6.sin * t325;
@@ -4960,11 +5141,14 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t498 = t478 * t497;
     const float t499 = t478 * t498;
     const float t500 = t493 - t499;
+    /* towards S, z */
     const float t501 = t3.cos * t81;
     const float t502 = t3.sin * t81;
     const float t503 = t245 * t455;
     const float t504 = t501 - t503;
+    /* towards z */
     const float t505 = t501 * in->u[1];
+    /* towards S, z */
     const float t506 = t303 * t465;
     const float t507 = t504 - t506;
     const float t508 = t371 * t473;
@@ -4973,6 +5157,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t511 = t509 - t510;
     const float t512 = t498 * t511;
     const float t513 = t434 + t512;
+    /* towards S */
     const float t514 = 1.0f / t500;
     const float t515 = t513 * t514;
     const float t516 = t497 * t511;
@@ -5011,25 +5196,32 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t549 = t241 * t515;
     const float t550 = t548 + t549;
     const float t551 = t76 * t515;
+    /* towards S, z, pivots of Q */
     const float t552 = t0.sin * t16.sin;
+    /* towards S */
     const float t553 = t530 * t552;
     const float t554 = t0.cos * t539;
     const float t555 = t553 - t554;
+    /* towards S, z, pivots of Q */
     const float t556 = t0.sin * t16.cos;
     const float t557 = t1.sin * t556;
     const float t558 = t1.cos * t556;
     const float t559 = t0.cos * t1.cos;
     const float t560 = t557 + t559;
+    /* towards S */
     const float t561 = t523 * t560;
     const float t562 = t555 - t561;
+    /* towards S, z, pivots of Q */
     const float t563 = t0.cos * t1.sin;
     const float t564 = t558 - t563;
     const float t565 = t6.sin * t564;
     const float t566 = t6.cos * t552;
     const float t567 = t565 + t566;
+    /* towards S */
     const float t568 = t518 * t567;
     const float t569 = t562 - t568;
     const float t570 = t569 + t551;
+    /* towards S, z */
     const float t571 = t77 * t156;
     const float t572 = t13 * t77;
     const float t573 = t27 * t92;
@@ -5040,7 +5232,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t578 = t577 - t572;
     const float t579 = t293 * t574;
     const float t580 = t578 + t579;
+    /* towards z */
     const float t581 = t578 * in->u[4];
+    /* towards S, z */
     const float t582 = t297 * t580;
     const float t583 = t576 - t582;
     const float t584 = t29 * t72;
@@ -5049,7 +5243,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t587 = t4 * t79;
     const float t588 = t351 * t574;
     const float t589 = t586 + t588;
+    /* towards z */
     const float t590 = t586 * in->u[3];
+    /* towards S, z */
     const float t591 = t358 * t580;
     const float t592 = t589 + t591;
     const float t593 = t362 * t592;
@@ -5058,7 +5254,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t596 = t595 - t587;
     const float t597 = t401 * t574;
     const float t598 = t596 - t597;
+    /* towards z */
     const float t599 = t596 * in->u[2];
+    /* towards S, z */
     const float t600 = t408 * t580;
     const float t601 = t598 - t600;
     const float t602 = t417 * t592;
@@ -5067,7 +5265,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t605 = t594 - t604;
     const float t606 = t455 * t574;
     const float t607 = t502 - t606;
+    /* towards z */
     const float t608 = t502 * in->u[1];
+    /* towards S, z */
     const float t609 = t465 * t580;
     const float t610 = t607 - t609;
     const float t611 = t473 * t592;
@@ -5076,6 +5276,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t614 = t612 - t613;
     const float t615 = t498 * t614;
     const float t616 = t605 - t615;
+    /* towards S */
     const float t617 = t514 * t616;
     const float t618 = t497 * t614;
     const float t619 = t498 * t617;
@@ -5121,19 +5322,24 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t659 = t657 + t658;
     const float t660 = t76 * t617;
     const float t661 = t659 + t660;
+    /* towards S, z */
     const float t662 = t3.sin * t59;
+    /* towards z */
     const float t663 = t59 * in->u[0];
     const float t664 = t505 - t663;
     const float t665 = t664 + t428;
     const float t666 = t665 + t369;
     const float t667 = t666 + t304;
+    /* towards S, z */
     const float t668 = t3.cos * t31;
     const float t669 = t662 + t668;
+    /* towards z */
     const float t670 = t31 * in->u[0];
     const float t671 = t670 + t608;
     const float t672 = t671 + t599;
     const float t673 = t672 - t590;
     const float t674 = t673 + t581;
+    /* towards S, z */
     const float t675 = t27 * t132;
     const float t676 = t27 * t42;
     const float t677 = t55 * t156;
@@ -5142,10 +5348,14 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t680 = t679 - t676;
     const float t681 = t455 * t678;
     const float t682 = t669 + t681;
+    /* towards z */
     const float t683 = t669 * in->u[1];
+    /* towards S, z */
     const float t684 = t293 * t678;
     const float t685 = t680 + t684;
+    /* towards z */
     const float t686 = t680 * in->u[4];
+    /* towards S, z */
     const float t687 = t465 * t685;
     const float t688 = t682 + t687;
     const float t689 = t18 * t57;
@@ -5156,17 +5366,21 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t694 = t690 - t693;
     const float t695 = t351 * t678;
     const float t696 = t692 - t695;
+    /* towards z */
     const float t697 = t692 * in->u[3];
+    /* towards S, z */
     const float t698 = t358 * t685;
     const float t699 = t696 - t698;
     const float t700 = t473 * t699;
     const float t701 = t688 + t700;
     const float t702 = t401 * t678;
     const float t703 = t694 - t702;
+    /* towards z */
     const float t704 = t694 * in->u[2];
     const float t705 = t704 - t683;
     const float t706 = t705 + t697;
     const float t707 = t706 + t686;
+    /* towards S, z */
     const float t708 = t408 * t685;
     const float t709 = t703 - t708;
     const float t710 = t417 * t699;
@@ -5182,6 +5396,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t720 = t421 * t711;
     const float t721 = t719 + t720;
     const float t722 = t714 - t721;
+    /* towards S */
     const float t723 = t514 * t722;
     const float t724 = t497 * t713;
     const float t725 = t498 * t723;
@@ -5227,6 +5442,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t765 = t764 + t757;
     const float t766 = t76 * t723;
     const float t767 = t765 - t766;
+    /* towards S, z */
     const float t768 = t195 + t200;
     const float t769 = t768 + t174;
     const float t770 = t769 - t195;
@@ -5293,7 +5509,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t831 = t498 * t830;
     const float t832 = t76 * t782;
     const float t833 = t172 + t832;
+    /* towards S */
     const float t834 = t782 * 1000.0f;
+    /* towards S, z */
     const float t835 = t241 * t789;
     const float t836 = t833 + t835;
     const float t837 = t297 * t800;
@@ -5303,6 +5521,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t841 = t421 * t828;
     const float t842 = t840 + t841;
     const float t843 = t831 - t842;
+    /* towards S */
     const float t844 = t514 * t843;
     const float t845 = t497 * t830;
     const float t846 = t498 * t844;
@@ -5329,7 +5548,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t867 = t297 * t844;
     const float t868 = t866 - t867;
     const float t869 = 114.1429f * t789;
+    /* towards z */
     const float t870 = t789 * 10.683768f;
+    /* towards S */
     const float t871 = t293 * t868;
     const float t872 = t869 + t871;
     const float t873 = t351 * t859;
@@ -5350,6 +5571,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t888 = t887 + t879;
     const float t889 = t76 * t844;
     const float t890 = t888 - t889;
+    /* towards S, z */
     const float t891 = t54 * t773;
     const float t892 = t26 * t193;
     const float t893 = t891 - t892;
@@ -5408,7 +5630,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t946 = t944 + t945;
     const float t947 = t567 * t895;
     const float t948 = t946 - t947;
+    /* towards S */
     const float t949 = 1000.0f * t895;
+    /* towards S, z */
     const float t950 = t455 * t902;
     const float t951 = t948 - t950;
     const float t952 = t465 * t913;
@@ -5419,6 +5643,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t957 = t955 - t956;
     const float t958 = t498 * t957;
     const float t959 = t943 + t958;
+    /* towards S */
     const float t960 = t514 * t959;
     const float t961 = t497 * t957;
     const float t962 = t498 * t960;
@@ -5445,7 +5670,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t983 = t297 * t960;
     const float t984 = t982 + t983;
     const float t985 = 114.1429f * t902;
+    /* towards z */
     const float t986 = t902 * 10.683768f;
+    /* towards S */
     const float t987 = t293 * t984;
     const float t988 = t985 + t987;
     const float t989 = t351 * t975;
@@ -5466,13 +5693,18 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1004 = t567 * t963;
     const float t1005 = t1003 - t1004;
     const float t1006 = t1005 + t997;
+    /* towards S, z */
     const float t1007 = t76 * t774;
     const float t1008 = t26 * t177;
+    /* towards z */
     const float t1009 = t26 * in->u[6];
+    /* towards S, z */
     const float t1010 = t54 * t125;
     const float t1011 = t1008 + t1010;
     const float t1012 = t1007 - t1011;
+    /* towards z */
     const float t1013 = t54 * in->u[6];
+    /* towards S, z */
     const float t1014 = t76 * t1012;
     const float t1015 = t774 - t1014;
     const float t1016 = t156 * t177;
@@ -5491,33 +5723,47 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1029 = t1027 - t1028;
     const float t1030 = t293 * t1020;
     const float t1031 = t1029 + t1030;
+    /* towards S */
     const float t1032 = t296 * t1031;
+    /* towards S, z */
     const float t1033 = t297 * t1031;
     const float t1034 = t1022 - t1033;
     const float t1035 = t50 * t125;
+    /* towards z */
     const float t1036 = t50 * in->u[3];
+    /* towards S, z */
     const float t1037 = t18 * t177;
     const float t1038 = t1035 - t1037;
+    /* towards z */
     const float t1039 = t18 * in->u[3];
+    /* towards S, z */
     const float t1040 = t72 * t774;
     const float t1041 = t1038 - t1040;
+    /* towards z */
     const float t1042 = t72 * in->u[3];
+    /* towards S, z */
     const float t1043 = t552 * t1012;
     const float t1044 = t1041 + t1043;
     const float t1045 = t351 * t1020;
     const float t1046 = t1044 - t1045;
     const float t1047 = t358 * t1031;
     const float t1048 = t1046 - t1047;
+    /* towards S */
     const float t1049 = t361 * t1048;
+    /* towards S, z */
     const float t1050 = t362 * t1048;
     const float t1051 = t1034 - t1050;
     const float t1052 = t2.cos * t774;
     const float t1053 = t4 * t177;
+    /* towards z */
     const float t1054 = t4 * in->u[2];
+    /* towards S, z */
     const float t1055 = t34 * t125;
     const float t1056 = t1053 + t1055;
     const float t1057 = t1052 - t1056;
+    /* towards z */
     const float t1058 = t34 * in->u[2];
+    /* towards S, z */
     const float t1059 = t560 * t1012;
     const float t1060 = t1057 - t1059;
     const float t1061 = t401 * t1020;
@@ -5526,21 +5772,29 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1064 = t1062 - t1063;
     const float t1065 = t417 * t1048;
     const float t1066 = t1064 - t1065;
+    /* towards S */
     const float t1067 = t420 * t1066;
+    /* towards S, z */
     const float t1068 = t421 * t1066;
     const float t1069 = t1051 - t1068;
     const float t1070 = t3.sin * t177;
+    /* towards z */
     const float t1071 = t3.sin * in->u[1];
     const float t1072 = t1054 - t1071;
     const float t1073 = t1072 + t1039;
+    /* towards S, z */
     const float t1074 = t3.cos * t125;
     const float t1075 = t1070 - t1074;
+    /* towards z */
     const float t1076 = t3.cos * in->u[1];
     const float t1077 = t1076 + t1058;
     const float t1078 = t1077 - t1036;
+    /* towards S, z */
     const float t1079 = t567 * t1012;
     const float t1080 = t1075 - t1079;
+    /* towards S */
     const float t1081 = 1000.0f * t1012;
+    /* towards S, z */
     const float t1082 = t455 * t1020;
     const float t1083 = t1080 - t1082;
     const float t1084 = t465 * t1031;
@@ -5549,9 +5803,12 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1087 = t1085 - t1086;
     const float t1088 = t494 * t1066;
     const float t1089 = t1087 - t1088;
+    /* towards S */
     const float t1090 = t497 * t1089;
+    /* towards S, z */
     const float t1091 = t498 * t1089;
     const float t1092 = t1069 - t1091;
+    /* towards S */
     const float t1093 = t514 * t1092;
     const float t1094 = t498 * t1093;
     const float t1095 = t1090 - t1094;
@@ -5574,7 +5831,9 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1112 = t297 * t1093;
     const float t1113 = t1111 - t1112;
     const float t1114 = 114.1429f * t1020;
+    /* towards z */
     const float t1115 = t1020 * 10.683768f;
+    /* towards S */
     const float t1116 = t293 * t1113;
     const float t1117 = t1114 + t1116;
     const float t1118 = t351 * t1105;
@@ -5595,6 +5854,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1133 = t1131 - t1132;
     const float t1134 = t76 * t1093;
     const float t1135 = t1133 - t1134;
+    /* towards z */
     const float t1136 = t245 * in->u[5];
     const float t1137 = t667 + t1136;
     const float t1138 = t1137 - in->r_dot[0];
@@ -6237,6 +6497,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     const float t1775 = t1763 + t1774;
     const float t1776 = (-t1771) - t1622;
     const float t1777 = (-t1775) - t1625;
+    /* towards pivots of Q */
     const float t1778 = t0.cos * 0.001f;
     const float t1779 = t0.cos * t1778;
     const float t1780 = t256 + t1779;
@@ -6302,7 +6563,7 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     z[3] = t1747;
     z[4] = t1776;
     z[5] = t1777;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1780;
     mass_pivot[1] = t360;
@@ -6316,16 +6577,21 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
 }
 
 
-static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S_w, float *z, float *y_w, float *recover, float *mass_pivot, float *mass_scale)
+static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in,
+    float *S_w, float *z, float *y_w, float *recover, float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_f32_pair t0 = iiwa_pose_f32_sincos(in->q[5]);
     const iiwa_pose_f32_pair t1 = iiwa_pose_f32_sincos(in->q[3]);
     const iiwa_pose_f32_pair t2 = iiwa_pose_f32_sincos(in->q[1]);
+    /* towards S_w, z */
     const iiwa_pose_f32_pair t3 = iiwa_pose_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_f32_pair t6 = iiwa_pose_f32_sincos(in->q[2]);
+    /* towards S_w, z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -6335,7 +6601,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_f32_pair t16 = iiwa_pose_f32_sincos(in->q[4]);
+    /* towards S_w, z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -6351,8 +6619,10 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t29 = t27 + t28;
     const float t30 = t4 * 0.42f;
     const float t31 = t29 + t30;
+    /* towards z */
     const float t32 = t31 - in->r[0];
     const float t33 = t32 * 100.0f;
+    /* towards S_w, z */
     const float t34 = t2.sin * t3.sin;
     const float t35 = t1.cos * t34;
     const float t36 = t2.cos * t3.sin;
@@ -6379,8 +6649,10 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t57 = t55 + t56;
     const float t58 = 0.42f * t34;
     const float t59 = t57 + t58;
+    /* towards z */
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -6390,20 +6662,25 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards S_w, z */
     const float t71 = t16.sin * t69;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards S_w, z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
     const float t80 = t2.cos * 0.42f;
     const float t81 = t79 + t80;
+    /* towards z */
     const float t82 = t81 + 0.36f;
     const float t83 = t82 - in->r[2];
     const float t84 = t83 * 100.0f;
+    /* towards S_w, z */
     const iiwa_pose_f32_pair t85 = iiwa_pose_f32_sincos(in->q[6]);
     const float t86 = t0.sin * t65;
     const float t87 = t0.cos * t74;
@@ -6468,7 +6745,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t146 = t54 * t105;
     const float t147 = t145 + t146;
     const float t148 = 0.5f * t147;
+    /* towards z */
     const float t149 = t125 - t148;
+    /* towards S_w, z */
     const float t150 = t0.cos * t23;
     const float t151 = t13 * t0.sin;
     const float t152 = t150 + t151;
@@ -6497,7 +6776,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t175 = t76 * t143;
     const float t176 = t169 + t175;
     const float t177 = 0.5f * t176;
+    /* towards z */
     const float t178 = t172 - t177;
+    /* towards S_w, z */
     const float t179 = t134 * t114;
     const float t180 = t158 * t114;
     const float t181 = t104 * t158;
@@ -6520,7 +6801,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t198 = 0.5f * t197;
     const float t199 = t54 * t121;
     const float t200 = t190 + t199;
+    /* towards z */
     const float t201 = t193 - t198;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t202 = t0.cos * 0.012552f;
     const float t203 = -0.008760948f - t202;
     const float t204 = t16.sin * t203;
@@ -6562,11 +6845,13 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t240 = t222 - t239;
     const float t241 = t238 * 114.1429f;
     const float t242 = t238 * t241;
+    /* towards S_w, z */
     const float t243 = t55 * t92;
     const float t244 = t77 * t132;
     const float t245 = t243 - t244;
     const float t246 = t241 * t245;
     const float t247 = t59 + t246;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t248 = t0.cos * 0.005460948f;
     const float t249 = t0.cos * t248;
     const float t250 = 0.012552f + t248;
@@ -6618,14 +6903,18 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t296 = 1.0f / t295;
     const float t297 = t292 * t296;
     const float t298 = t292 * t297;
+    /* towards S_w, z */
     const float t299 = t42 * t77;
     const float t300 = t55 * t65;
     const float t301 = t299 - t300;
     const float t302 = t245 * t293;
     const float t303 = t301 + t302;
+    /* towards z */
     const float t304 = t301 * in->u[4];
+    /* towards S_w, z */
     const float t305 = t297 * t303;
     const float t306 = t247 + t305;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t307 = t254 - 0.006199988f;
     const float t308 = t16.cos * t307;
     const float t309 = t225 + t225;
@@ -6683,16 +6972,20 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t361 = 1.0f / t360;
     const float t362 = t355 * t361;
     const float t363 = t355 * t362;
+    /* towards S_w, z */
     const float t364 = t57 * t72;
     const float t365 = t50 * t79;
     const float t366 = t364 - t365;
     const float t367 = t245 * t351;
     const float t368 = t366 - t367;
+    /* towards z */
     const float t369 = t366 * in->u[3];
+    /* towards S_w, z */
     const float t370 = t303 * t358;
     const float t371 = t368 - t370;
     const float t372 = t362 * t371;
     const float t373 = t306 + t372;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t374 = t317 - t341;
     const float t375 = t1.cos * t374;
     const float t376 = t375 - t267;
@@ -6742,18 +7035,22 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t420 = 1.0f / t419;
     const float t421 = t412 * t420;
     const float t422 = t412 * t421;
+    /* towards S_w, z */
     const float t423 = t34 * t79;
     const float t424 = t2.cos * t57;
     const float t425 = t423 - t424;
     const float t426 = t245 * t401;
     const float t427 = t425 - t426;
+    /* towards z */
     const float t428 = t425 * in->u[2];
+    /* towards S_w, z */
     const float t429 = t303 * t408;
     const float t430 = t427 - t429;
     const float t431 = t371 * t417;
     const float t432 = t430 - t431;
     const float t433 = t421 * t432;
     const float t434 = t373 + t433;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t435 = t381 - t318;
     const float t436 = t6.cos * t435;
     const float t437 = t6.sin * t325;
@@ -6820,11 +7117,14 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t498 = t479 * t497;
     const float t499 = t479 * t498;
     const float t500 = t496 - t499;
+    /* towards S_w, z */
     const float t501 = t3.cos * t81;
     const float t502 = t3.sin * t81;
     const float t503 = t245 * t455;
     const float t504 = t501 - t503;
+    /* towards z */
     const float t505 = t501 * in->u[1];
+    /* towards S_w, z */
     const float t506 = t303 * t460;
     const float t507 = t504 - t506;
     const float t508 = t371 * t467;
@@ -6833,6 +7133,7 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t511 = t509 - t510;
     const float t512 = t498 * t511;
     const float t513 = t434 + t512;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t514 = t0.sin * t16.sin;
     const float t515 = t0.sin * t16.cos;
     const float t516 = t1.sin * t515;
@@ -6844,6 +7145,7 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t522 = t6.sin * t521;
     const float t523 = t6.cos * t514;
     const float t524 = t522 + t523;
+    /* towards S_w, z */
     const float t525 = t77 * t156;
     const float t526 = t13 * t77;
     const float t527 = t27 * t92;
@@ -6854,7 +7156,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t532 = t531 - t526;
     const float t533 = t293 * t528;
     const float t534 = t532 + t533;
+    /* towards z */
     const float t535 = t532 * in->u[4];
+    /* towards S_w, z */
     const float t536 = t297 * t534;
     const float t537 = t530 - t536;
     const float t538 = t29 * t72;
@@ -6863,7 +7167,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t541 = t4 * t79;
     const float t542 = t351 * t528;
     const float t543 = t540 + t542;
+    /* towards z */
     const float t544 = t540 * in->u[3];
+    /* towards S_w, z */
     const float t545 = t358 * t534;
     const float t546 = t543 + t545;
     const float t547 = t362 * t546;
@@ -6872,7 +7178,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t550 = t549 - t541;
     const float t551 = t401 * t528;
     const float t552 = t550 - t551;
+    /* towards z */
     const float t553 = t550 * in->u[2];
+    /* towards S_w, z */
     const float t554 = t408 * t534;
     const float t555 = t552 - t554;
     const float t556 = t417 * t546;
@@ -6881,7 +7189,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t559 = t548 - t558;
     const float t560 = t455 * t528;
     const float t561 = t502 - t560;
+    /* towards z */
     const float t562 = t502 * in->u[1];
+    /* towards S_w, z */
     const float t563 = t460 * t534;
     const float t564 = t561 - t563;
     const float t565 = t467 * t546;
@@ -6891,18 +7201,22 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t569 = t498 * t568;
     const float t570 = t559 - t569;
     const float t571 = t3.sin * t59;
+    /* towards z */
     const float t572 = t59 * in->u[0];
     const float t573 = t505 - t572;
     const float t574 = t573 + t428;
     const float t575 = t574 + t369;
     const float t576 = t575 + t304;
+    /* towards S_w, z */
     const float t577 = t3.cos * t31;
     const float t578 = t571 + t577;
+    /* towards z */
     const float t579 = t31 * in->u[0];
     const float t580 = t579 + t562;
     const float t581 = t580 + t553;
     const float t582 = t581 - t544;
     const float t583 = t582 + t535;
+    /* towards S_w, z */
     const float t584 = t27 * t132;
     const float t585 = t27 * t42;
     const float t586 = t55 * t156;
@@ -6911,10 +7225,14 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t589 = t588 - t585;
     const float t590 = t455 * t587;
     const float t591 = t578 + t590;
+    /* towards z */
     const float t592 = t578 * in->u[1];
+    /* towards S_w, z */
     const float t593 = t293 * t587;
     const float t594 = t589 + t593;
+    /* towards z */
     const float t595 = t589 * in->u[4];
+    /* towards S_w, z */
     const float t596 = t460 * t594;
     const float t597 = t591 + t596;
     const float t598 = t18 * t57;
@@ -6925,17 +7243,21 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t603 = t599 - t602;
     const float t604 = t351 * t587;
     const float t605 = t601 - t604;
+    /* towards z */
     const float t606 = t601 * in->u[3];
+    /* towards S_w, z */
     const float t607 = t358 * t594;
     const float t608 = t605 - t607;
     const float t609 = t467 * t608;
     const float t610 = t597 + t609;
     const float t611 = t401 * t587;
     const float t612 = t603 - t611;
+    /* towards z */
     const float t613 = t603 * in->u[2];
     const float t614 = t613 - t592;
     const float t615 = t614 + t606;
     const float t616 = t615 + t595;
+    /* towards S_w, z */
     const float t617 = t408 * t594;
     const float t618 = t612 - t617;
     const float t619 = t417 * t608;
@@ -7017,7 +7339,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t695 = t498 * t694;
     const float t696 = t76 * t646;
     const float t697 = t172 + t696;
+    /* towards S_w */
     const float t698 = t646 * 31.622776f;
+    /* towards S_w, z */
     const float t699 = t241 * t653;
     const float t700 = t697 + t699;
     const float t701 = t653 * 10.683768f;
@@ -7086,7 +7410,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t764 = t762 + t763;
     const float t765 = t524 * t713;
     const float t766 = t764 - t765;
+    /* towards S_w */
     const float t767 = t713 * 31.622776f;
+    /* towards S_w, z */
     const float t768 = t455 * t720;
     const float t769 = t766 - t768;
     const float t770 = t720 * 10.683768f;
@@ -7100,11 +7426,15 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t778 = t761 + t777;
     const float t779 = t76 * t638;
     const float t780 = t26 * t177;
+    /* towards z */
     const float t781 = t26 * in->u[6];
+    /* towards S_w, z */
     const float t782 = t54 * t125;
     const float t783 = t780 + t782;
     const float t784 = t779 - t783;
+    /* towards z */
     const float t785 = t54 * in->u[6];
+    /* towards S_w, z */
     const float t786 = t76 * t784;
     const float t787 = t638 - t786;
     const float t788 = t156 * t177;
@@ -7126,13 +7456,19 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t804 = t297 * t803;
     const float t805 = t794 - t804;
     const float t806 = t50 * t125;
+    /* towards z */
     const float t807 = t50 * in->u[3];
+    /* towards S_w, z */
     const float t808 = t18 * t177;
     const float t809 = t806 - t808;
+    /* towards z */
     const float t810 = t18 * in->u[3];
+    /* towards S_w, z */
     const float t811 = t72 * t638;
     const float t812 = t809 - t811;
+    /* towards z */
     const float t813 = t72 * in->u[3];
+    /* towards S_w, z */
     const float t814 = t514 * t784;
     const float t815 = t812 + t814;
     const float t816 = t351 * t792;
@@ -7143,11 +7479,15 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t821 = t805 - t820;
     const float t822 = t2.cos * t638;
     const float t823 = t4 * t177;
+    /* towards z */
     const float t824 = t4 * in->u[2];
+    /* towards S_w, z */
     const float t825 = t34 * t125;
     const float t826 = t823 + t825;
     const float t827 = t822 - t826;
+    /* towards z */
     const float t828 = t34 * in->u[2];
+    /* towards S_w, z */
     const float t829 = t519 * t784;
     const float t830 = t827 - t829;
     const float t831 = t401 * t792;
@@ -7159,17 +7499,23 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t837 = t421 * t836;
     const float t838 = t821 - t837;
     const float t839 = t3.sin * t177;
+    /* towards z */
     const float t840 = t3.sin * in->u[1];
     const float t841 = t824 - t840;
     const float t842 = t841 + t810;
+    /* towards S_w, z */
     const float t843 = t3.cos * t125;
     const float t844 = t839 - t843;
+    /* towards z */
     const float t845 = t3.cos * in->u[1];
     const float t846 = t845 + t828;
     const float t847 = t846 - t807;
+    /* towards S_w, z */
     const float t848 = t524 * t784;
     const float t849 = t844 - t848;
+    /* towards S_w */
     const float t850 = t784 * 31.622776f;
+    /* towards S_w, z */
     const float t851 = t455 * t792;
     const float t852 = t849 - t851;
     const float t853 = t792 * 10.683768f;
@@ -7181,12 +7527,15 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t859 = t857 - t858;
     const float t860 = t498 * t859;
     const float t861 = t838 - t860;
+    /* towards z */
     const float t862 = t245 * in->u[5];
     const float t863 = t576 + t862;
     const float t864 = t863 - in->r_dot[0];
     const float t865 = t864 * 20.0f;
     const float t866 = t865 + t33;
+    /* towards S_w, z */
     const float t867 = t245 * 10.683768f;
+    /* towards z, y_w */
     const float t868 = t6.cos * in->u[1];
     const float t869 = t2.sin * in->u[0];
     const float t870 = t6.sin * t869;
@@ -7267,7 +7616,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t945 = t901 - t944;
     const float t946 = 0.03498f * t944;
     const float t947 = t0.cos * t945;
+    /* towards z */
     const float t948 = t0.sin * t945;
+    /* towards z, y_w */
     const float t949 = t872 * t872;
     const float t950 = t881 * t881;
     const float t951 = t949 + t950;
@@ -7276,8 +7627,10 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t954 = 1.46375f * t951;
     const float t955 = t0.sin * t953;
     const float t956 = t947 + t955;
+    /* towards z */
     const float t957 = t0.cos * t953;
     const float t958 = t957 - t948;
+    /* towards z, y_w */
     const float t959 = t0.cos * t883;
     const float t960 = t0.sin * t887;
     const float t961 = t959 + t960;
@@ -7285,11 +7638,15 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t963 = t0.sin * t883;
     const float t964 = t962 - t963;
     const float t965 = t961 * t964;
+    /* towards z */
     const float t966 = 0.081f * t965;
     const float t967 = t956 + t966;
+    /* towards z, y_w */
     const float t968 = 0.03138f * t956;
+    /* towards z */
     const float t969 = t0.cos * t967;
     const float t970 = t0.sin * t967;
+    /* towards z, y_w */
     const float t971 = t961 * t961;
     const float t972 = t16.cos * t872;
     const float t973 = t16.sin * t881;
@@ -7297,14 +7654,18 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t975 = in->u[5] - t974;
     const float t976 = t975 * t975;
     const float t977 = t971 + t976;
+    /* towards z */
     const float t978 = 0.081f * t977;
     const float t979 = t958 - t978;
+    /* towards z, y_w */
     const float t980 = 0.03138f * t977;
+    /* towards z */
     const float t981 = t0.sin * t979;
     const float t982 = t969 - t981;
     const float t983 = t0.cos * t979;
     const float t984 = t970 + t983;
     const float t985 = t23 * t982;
+    /* towards z, y_w */
     const float t986 = t964 * t975;
     const float t987 = in->u[4] * t974;
     const float t988 = t16.cos * t895;
@@ -7313,7 +7674,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t991 = in->u[5] * t964;
     const float t992 = t990 + t991;
     const float t993 = t986 + t992;
+    /* towards z */
     const float t994 = 0.081f * t993;
+    /* towards z, y_w */
     const float t995 = t16.sin * t927;
     const float t996 = 1.46375f * t927;
     const float t997 = t16.cos * t938;
@@ -7326,24 +7689,31 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1004 = t0.sin * t989;
     const float t1005 = 0.4f * t1002;
     const float t1006 = t998 + t1005;
+    /* towards z */
     const float t1007 = t994 - t1006;
+    /* towards z, y_w */
     const float t1008 = 0.03138f * t1006;
     const float t1009 = 0.00017f * t998;
     const float t1010 = 0.000044285f * t1002;
+    /* towards z */
     const float t1011 = t156 * t1007;
     const float t1012 = t985 - t1011;
     const float t1013 = t13 * t984;
     const float t1014 = t1012 + t1013;
     const float t1015 = t1014 - in->r_ddot[0];
     const float t1016 = t866 + t1015;
+    /* towards S_w, z, y_w, recover */
     const float t1017 = iiwa_pose_f32_sqrt(t485);
+    /* towards S_w, z, y_w */
     const float t1018 = 1.0f / t1017;
+    /* towards S_w, z */
     const float t1019 = t511 * t1018;
     const float t1020 = t568 * t1018;
     const float t1021 = t622 * t1018;
     const float t1022 = t694 * t1018;
     const float t1023 = t776 * t1018;
     const float t1024 = t859 * t1018;
+    /* towards z, y_w */
     const float t1025 = t869 * t878;
     const float t1026 = t878 * t878;
     const float t1027 = in->u[1] * t869;
@@ -7367,7 +7737,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1045 = 0.005460948f * t965;
     const float t1046 = t1042 - t1045;
     const float t1047 = t455 * t1046;
+    /* towards y_w, recover */
     const float t1048 = t455 * 0.09359994f;
+    /* towards z, y_w */
     const float t1049 = t2.sin * 38.940796f;
     const float t1050 = t1047 + t1049;
     const float t1051 = t1026 - t921;
@@ -7524,19 +7896,25 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1202 = t1166 - t1201;
     const float t1203 = t293 * t1046;
     const float t1204 = t1160 + t1203;
+    /* towards y_w, recover */
     const float t1205 = t293 * 0.09359994f;
+    /* towards z, y_w */
     const float t1206 = t460 * t1204;
     const float t1207 = t1198 + t1206;
     const float t1208 = t351 * t1046;
     const float t1209 = t1208 - t1192;
+    /* towards y_w, recover */
     const float t1210 = t351 * 0.09359994f;
+    /* towards z, y_w */
     const float t1211 = t358 * t1204;
     const float t1212 = t1209 + t1211;
     const float t1213 = t467 * t1212;
     const float t1214 = t1207 - t1213;
     const float t1215 = t401 * t1046;
     const float t1216 = t1215 - t1202;
+    /* towards y_w, recover */
     const float t1217 = t401 * 0.09359994f;
+    /* towards z, y_w */
     const float t1218 = t408 * t1204;
     const float t1219 = t1216 + t1218;
     const float t1220 = t417 * t1212;
@@ -7546,19 +7924,27 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1224 = t1028 + t1223;
     const float t1225 = t1018 * t1224;
     const float t1226 = t498 * t1224;
+    /* towards y_w, recover */
     const float t1227 = t498 * t1017;
+    /* towards z */
     const float t1228 = t1019 * t1225;
+    /* towards S_w, z, y_w, recover */
     const float t1229 = iiwa_pose_f32_sqrt(t500);
+    /* towards S_w, z, y_w */
     const float t1230 = 1.0f / t1229;
+    /* towards S_w, z */
     const float t1231 = t513 * t1230;
     const float t1232 = t570 * t1230;
     const float t1233 = t631 * t1230;
     const float t1234 = t708 * t1230;
     const float t1235 = t778 * t1230;
     const float t1236 = t861 * t1230;
+    /* towards z, y_w */
     const float t1237 = t241 * t1046;
     const float t1238 = t1046 * 10.683768f;
+    /* towards y_w, recover */
     const float t1239 = t241 * 0.09359994f;
+    /* towards z, y_w */
     const float t1240 = t890 * 3.2133894f;
     const float t1241 = t1240 + t1056;
     const float t1242 = t890 * 0.0001416f;
@@ -7577,9 +7963,11 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1255 = t2.cos * t1254;
     const float t1256 = t1248 + t1255;
     const float t1257 = t1237 - t1256;
+    /* towards z */
     const float t1258 = t2.cos * in->u[2];
     const float t1259 = in->u[0] + t1258;
     const float t1260 = t1259 - t813;
+    /* towards z, y_w */
     const float t1261 = t297 * t1204;
     const float t1262 = t1257 + t1261;
     const float t1263 = t362 * t1212;
@@ -7588,48 +7976,70 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1266 = t1264 - t1265;
     const float t1267 = t1266 - t1226;
     const float t1268 = t1230 * t1267;
+    /* towards z */
     const float t1269 = t1231 * t1268;
     const float t1270 = t1228 - t1269;
+    /* towards S_w, z, y_w, recover */
     const float t1271 = iiwa_pose_f32_sqrt(t419);
+    /* towards y_w, recover */
     const float t1272 = t421 * t1271;
     const float t1273 = t471 * t1271;
+    /* towards S_w, z, y_w */
     const float t1274 = 1.0f / t1271;
+    /* towards S_w, z */
     const float t1275 = t432 * t1274;
+    /* towards z, y_w */
     const float t1276 = t1221 * t1274;
+    /* towards S_w, z */
     const float t1277 = t557 * t1274;
     const float t1278 = t620 * t1274;
     const float t1279 = t692 * t1274;
     const float t1280 = t759 * t1274;
     const float t1281 = t836 * t1274;
+    /* towards z */
     const float t1282 = t1275 * t1276;
     const float t1283 = t1270 + t1282;
+    /* towards S_w, z, y_w, recover */
     const float t1284 = iiwa_pose_f32_sqrt(t360);
+    /* towards y_w, recover */
     const float t1285 = t362 * t1284;
     const float t1286 = t467 * t1284;
     const float t1287 = t417 * t1284;
+    /* towards S_w, z, y_w */
     const float t1288 = 1.0f / t1284;
+    /* towards S_w, z */
     const float t1289 = t371 * t1288;
+    /* towards z, y_w */
     const float t1290 = t1212 * t1288;
+    /* towards S_w, z */
     const float t1291 = t546 * t1288;
     const float t1292 = t608 * t1288;
     const float t1293 = t677 * t1288;
     const float t1294 = t744 * t1288;
     const float t1295 = t819 * t1288;
+    /* towards z */
     const float t1296 = t1289 * t1290;
     const float t1297 = t1283 + t1296;
+    /* towards S_w, z, y_w, recover */
     const float t1298 = iiwa_pose_f32_sqrt(t295);
+    /* towards y_w, recover */
     const float t1299 = t297 * t1298;
     const float t1300 = t460 * t1298;
     const float t1301 = t408 * t1298;
     const float t1302 = t358 * t1298;
+    /* towards S_w, z, y_w */
     const float t1303 = 1.0f / t1298;
+    /* towards S_w, z */
     const float t1304 = t303 * t1303;
+    /* towards z, y_w */
     const float t1305 = t1204 * t1303;
+    /* towards S_w, z */
     const float t1306 = t534 * t1303;
     const float t1307 = t594 * t1303;
     const float t1308 = t664 * t1303;
     const float t1309 = t731 * t1303;
     const float t1310 = t803 * t1303;
+    /* towards z */
     const float t1311 = t1304 * t1305;
     const float t1312 = t1297 - t1311;
     const float t1313 = t867 * t1238;
@@ -7640,7 +8050,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1318 = t1317 - in->r_dot[1];
     const float t1319 = 20.0f * t1318;
     const float t1320 = t1319 + t61;
+    /* towards S_w, z */
     const float t1321 = t528 * 10.683768f;
+    /* towards z */
     const float t1322 = t42 * t984;
     const float t1323 = t65 * t984;
     const float t1324 = t52 * t982;
@@ -7673,7 +8085,9 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1351 = 20.0f * t1350;
     const float t1352 = t1351 + t84;
     const float t1353 = t1352 + t1335;
+    /* towards S_w, z */
     const float t1354 = t587 * 10.683768f;
+    /* towards z */
     const float t1355 = t1268 * t1233;
     const float t1356 = t1225 * t1021;
     const float t1357 = t1355 - t1356;
@@ -7838,11 +8252,13 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1516 = t1238 * t853;
     const float t1517 = t1515 - t1516;
     const float t1518 = (-t1494) - t1517;
+    /* towards y_w, recover */
     const float t1519 = t76 * 0.031622775f;
     const float t1520 = t524 * 0.031622775f;
     const float t1521 = t519 * 0.031622775f;
     const float t1522 = t514 * 0.031622775f;
     const float t1523 = t0.cos * 0.031622775f;
+    /* towards y_w */
     const float t1524 = in->u[0] * 6.0f;
     const float t1525 = in->q[0] - -0.1f;
     const float t1526 = t1525 * 9.0f;
@@ -7929,6 +8345,7 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     const float t1607 = t1038 + t1606;
     const float t1608 = 0.031622775f * t1607;
     const float t1609 = t1594 - t1608;
+    /* towards pivots of Q */
     const float t1610 = t0.cos * 0.001f;
     const float t1611 = t0.cos * t1610;
     const float t1612 = t256 + t1611;
@@ -8030,7 +8447,7 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     recover[24] = t1523;
     recover[25] = 0.09359994f;
     recover[26] = 0.031622775f;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1612;
     mass_pivot[1] = t360;
@@ -8058,7 +8475,8 @@ int iiwa_pose_f32_prepare(const iiwa_pose_f32_params *params, iiwa_pose_f32_mode
 int iiwa_pose_f32_psi(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *psi)
 {
     float new_psi[6];
-    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r_dot, 3)
+            && iiwa_pose_f32_finite(in->r_ddot, 3))) {
         return iiwa_pose_f32_reason(IIWA_POSE_F32_NONFINITE, in);
     }
     iiwa_pose_f32_eval_psi(model, in, new_psi);
@@ -8074,7 +8492,8 @@ int iiwa_pose_f32_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input 
     float new_S[42];
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3) && iiwa_pose_f32_finite(in->r_ddot, 3))) {
+    if (!(iiwa_pose_f32_finite(in->u, 7) && iiwa_pose_f32_finite(in->r, 3) && iiwa_pose_f32_finite(in->r_dot, 3)
+            && iiwa_pose_f32_finite(in->r_ddot, 3))) {
         return iiwa_pose_f32_reason(IIWA_POSE_F32_NONFINITE, in);
     }
     iiwa_pose_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -8138,7 +8557,8 @@ int iiwa_pose_f32_pinv(const float *S, float *S_pinv, iiwa_pose_f32_info *info)
     return iiwa_pose_f32_pinv_core(S, S_pinv, info);
 }
 
-int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau, iiwa_pose_f32_info *info)
+int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *tau,
+    iiwa_pose_f32_info *info)
 {
     float sigma[7], unweighted[7];
     float S_w[42], z[6], y_w[7], recover[27];
@@ -8155,9 +8575,12 @@ int iiwa_pose_f32_control(const iiwa_pose_f32_model *model, const iiwa_pose_f32_
         return iiwa_pose_f32_failed(status, in, info);
     }
     /* tau = L^-T sigma */
-    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3] + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
-    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4] + recover[11] * sigma[5] + recover[12] * sigma[6];
-    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5] + recover[17] * sigma[6];
+    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3]
+        + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
+    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4]
+        + recover[11] * sigma[5] + recover[12] * sigma[6];
+    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5]
+        + recover[17] * sigma[6];
     unweighted[3] = recover[18] * sigma[3] + recover[19] * sigma[4] + recover[20] * sigma[5] + recover[21] * sigma[6];
     unweighted[4] = recover[22] * sigma[4] + recover[23] * sigma[5] + recover[24] * sigma[6];
     unweighted[5] = recover[25] * sigma[5];

@@ -11,22 +11,75 @@
 #error "build iiwa_pose.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 6 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define IIWA_POSE_NOINLINE __attribute__((noinline))
+#define IIWA_POSE_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSE_NOINLINE
+#define IIWA_POSE_COLD
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define IIWA_POSE_FRACTION_BITS 52
+#define IIWA_POSE_EXPONENT_BIAS 1023
+#define IIWA_POSE_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define IIWA_POSE_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+#define IIWA_POSE_NO_EXPONENT (-16384) /* stands for the exponent of zero: below all others, and below sums of two */
+#define IIWA_POSE_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define IIWA_POSE_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define IIWA_POSE_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define IIWA_POSE_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 6 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define IIWA_POSE_CONSISTENCY 1.2434497875801753e-14 /* a row whose relative residual is at most this is met */
+#define IIWA_POSE_ROOT_L 2.6457513110645907 /* sqrt(7): a row within its atol is no longer than this times atol */
+#define IIWA_POSE_RTOL 1.5543122344752192e-15 /* singular values at or below this part of the largest count as zero */
+#define IIWA_POSE_SQUARE_LOW_0 926 /* exponents of row 0's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_0 1523
+#define IIWA_POSE_SQUARE_LOW_1 926 /* exponents of row 1's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_1 1523
+#define IIWA_POSE_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_2 1523
+#define IIWA_POSE_SQUARE_LOW_3 942 /* exponents of row 3's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_3 1523
+#define IIWA_POSE_SQUARE_LOW_4 942 /* exponents of row 4's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_4 1523
+#define IIWA_POSE_SQUARE_LOW_5 940 /* exponents of row 5's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_5 1523
+#define IIWA_POSE_ANSWER_LOW 23 /* the same of the answer's square */
+#define IIWA_POSE_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define IIWA_POSE_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define IIWA_POSE_NORMAL_LIMIT 27271342415.357616
+#define IIWA_POSE_QR_LIMIT 1.4487435431179765e+28 /* up to this bound times |B|^2 the QR needs no SVD */
+#define IIWA_POSE_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
+/* eps^2: columns with less than this part of all squares are noise */
+#define IIWA_POSE_NEGLIGIBLE 4.930380657631324e-32
+#define IIWA_POSE_ORTHOGONAL 8.628166150854818e-32 /* columns whose squared cosine is at most this are not rotated */
+#define IIWA_POSE_CONVERGED 1.4914401489334754e-30 /* a sweep that met no larger squared cosine was the last */
+#define IIWA_POSE_SWEEP_CAP 10 /* sweeps of Jacobi's method at most: two more than were ever seen */
+
+typedef union iiwa_pose_word {
     double value;
     uint64_t bits;
 } iiwa_pose_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t iiwa_pose_magnitude(double x)
 {
     iiwa_pose_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & IIWA_POSE_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t iiwa_pose_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +118,18 @@ static double iiwa_pose_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= IIWA_POSE_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < IIWA_POSE_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -IIWA_POSE_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> IIWA_POSE_FRACTION_BITS) - IIWA_POSE_EXPONENT_BIAS;
+    rest = (word.bits & (IIWA_POSE_SMALLEST_NORMAL - 1u)) | IIWA_POSE_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = IIWA_POSE_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +137,7 @@ static double iiwa_pose_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + IIWA_POSE_EXPONENT_BIAS - 1) << IIWA_POSE_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +161,12 @@ static int iiwa_pose_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     iiwa_pose_word word;
     const uint64_t magnitude = iiwa_pose_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> IIWA_POSE_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(IIWA_POSE_EXPONENT_BIAS + IIWA_POSE_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= IIWA_POSE_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +175,14 @@ static int iiwa_pose_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +234,8 @@ static void iiwa_pose_reduce_close(double x, double k, double *hi, double *lo)
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int iiwa_pose_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = iiwa_pose_magnitude(x);
@@ -203,7 +259,7 @@ static inline int iiwa_pose_reduce(double x, double *hi, double *lo)
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (iiwa_pose_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> IIWA_POSE_FRACTION_BITS) > (iiwa_pose_magnitude(*hi) >> IIWA_POSE_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             iiwa_pose_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,20 +276,22 @@ static inline int iiwa_pose_reduce(double x, double *hi, double *lo)
 static double iiwa_pose_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double iiwa_pose_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct iiwa_pose_pair {
     double sin, cos;
 } iiwa_pose_pair;
 
@@ -260,59 +318,54 @@ static iiwa_pose_pair iiwa_pose_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define IIWA_POSE_APART __attribute__((noinline))
-#else
-#define IIWA_POSE_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from IIWA_POSE_EXPONENT_MIN to IIWA_POSE_EXPONENT_MAX, by writing its exponent. */
 static double iiwa_pose_power(int k)
 {
     iiwa_pose_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + IIWA_POSE_EXPONENT_BIAS) << IIWA_POSE_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double iiwa_pose_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= IIWA_POSE_EXPONENT_MIN && k <= IIWA_POSE_EXPONENT_MAX) {
         return x * iiwa_pose_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= iiwa_pose_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > IIWA_POSE_EXPONENT_MAX; ++step) {
+        x *= iiwa_pose_power(IIWA_POSE_EXPONENT_MAX);
+        k -= IIWA_POSE_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= iiwa_pose_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < IIWA_POSE_EXPONENT_MIN; ++step) {
+        x *= iiwa_pose_power(IIWA_POSE_EXPONENT_MIN + IIWA_POSE_FRACTION_BITS + 1);
+        k -= IIWA_POSE_EXPONENT_MIN + IIWA_POSE_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > IIWA_POSE_EXPONENT_MAX) {
+        k = IIWA_POSE_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < IIWA_POSE_EXPONENT_MIN) {
+        k = IIWA_POSE_EXPONENT_MIN;
     }
     return x * iiwa_pose_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; IIWA_POSE_NO_EXPONENT for zero. */
 static int iiwa_pose_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return IIWA_POSE_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < IIWA_POSE_SMALLEST_NORMAL) {
         iiwa_pose_word word;
         word.bits = magnitude;
-        magnitude = iiwa_pose_magnitude(word.value * iiwa_pose_power(64));
-        lift = 64;
+        magnitude = iiwa_pose_magnitude(word.value * iiwa_pose_power(IIWA_POSE_SUBNORMAL_LIFT));
+        lift = IIWA_POSE_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> IIWA_POSE_FRACTION_BITS) - IIWA_POSE_EXPONENT_BIAS - lift;
 }
 
 static double iiwa_pose_abs(double x)
@@ -320,92 +373,94 @@ static double iiwa_pose_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t iiwa_pose_biased(double x)
 {
     iiwa_pose_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (IIWA_POSE_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t iiwa_pose_biased_square(double square)
 {
     iiwa_pose_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> IIWA_POSE_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int iiwa_pose_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define IIWA_POSE_NEAR
-#define IIWA_POSE_WRITTEN_OUT
+#define IIWA_POSE_INLINE_WITH_VECTORS
+#define IIWA_POSE_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define IIWA_POSE_NEAR inline __attribute__((always_inline))
-#define IIWA_POSE_WRITTEN_OUT
+#define IIWA_POSE_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define IIWA_POSE_UNROLL
 #elif defined(__clang__)
-#define IIWA_POSE_NEAR
-#define IIWA_POSE_WRITTEN_OUT /* it does so by itself */
+#define IIWA_POSE_INLINE_WITH_VECTORS
+#define IIWA_POSE_UNROLL /* clang writes such loops out by itself */
 #else
-#define IIWA_POSE_NEAR
-#define IIWA_POSE_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define IIWA_POSE_INLINE_WITH_VECTORS
+#define IIWA_POSE_UNROLL _Pragma("GCC unroll 12")
 #endif
 
 static const double iiwa_pose_last[4] = { 0.0, 1.0, 1.0, 1.0 };
 
 /* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 made zero.
-   Blocks are loaded and stored whole: a number stored alone would stall the vector that is read over it. */
-static IIWA_POSE_NEAR void iiwa_pose_spread(const double *restrict v, double factor, double *restrict w)
+   Blocks are loaded and stored whole: a vector that is read where a single number was just stored has to wait for
+   it. */
+static IIWA_POSE_INLINE_WITH_VECTORS void iiwa_pose_spread(const double *restrict v, double factor, double *restrict w)
 {
     int k;
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_pose_last[k] * v[3 + k]);
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static IIWA_POSE_NEAR void iiwa_pose_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static IIWA_POSE_INLINE_WITH_VECTORS void iiwa_pose_gather(const double *restrict w, double *restrict v)
 {
     int k;
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
 }
 
-/* a b, in four sums that a machine with vectors and one without add up alike. */
-static IIWA_POSE_NEAR double iiwa_pose_inner(const double *a, const double *b)
+/* The inner product in four sums, which a machine with vectors and one without add up in the same order: same bits. */
+static IIWA_POSE_INLINE_WITH_VECTORS double iiwa_pose_inner(const double *a, const double *b)
 {
     double sum[4];
     int k;
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-typedef struct {
+typedef struct iiwa_pose_normal {
     double lower[15]; /* L below its unit diagonal, row by row */
     double inverse[6]; /* 1 / D */
 } iiwa_pose_normal;
@@ -413,8 +468,8 @@ typedef struct {
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.7e-14, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.7e-14, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
 {
     const double g_0_0 = iiwa_pose_inner(B, B);
@@ -450,11 +505,16 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     double bound;
-    if (!iiwa_pose_within(iiwa_pose_biased_square(g_0_0), 926, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_1_1), 926, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_2_2), 523, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_3_3), 942, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_4_4), 942, 1523) || !iiwa_pose_within(iiwa_pose_biased_square(g_5_5), 940, 1523)) {
+    if (!iiwa_pose_within(iiwa_pose_biased_square(g_0_0), IIWA_POSE_SQUARE_LOW_0, IIWA_POSE_SQUARE_HIGH_0)
+            || !iiwa_pose_within(iiwa_pose_biased_square(g_1_1), IIWA_POSE_SQUARE_LOW_1, IIWA_POSE_SQUARE_HIGH_1)
+            || !iiwa_pose_within(iiwa_pose_biased_square(g_2_2), IIWA_POSE_SQUARE_LOW_2, IIWA_POSE_SQUARE_HIGH_2)
+            || !iiwa_pose_within(iiwa_pose_biased_square(g_3_3), IIWA_POSE_SQUARE_LOW_3, IIWA_POSE_SQUARE_HIGH_3)
+            || !iiwa_pose_within(iiwa_pose_biased_square(g_4_4), IIWA_POSE_SQUARE_LOW_4, IIWA_POSE_SQUARE_HIGH_4)
+            || !iiwa_pose_within(iiwa_pose_biased_square(g_5_5), IIWA_POSE_SQUARE_LOW_5, IIWA_POSE_SQUARE_HIGH_5)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > IIWA_POSE_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
@@ -469,7 +529,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     v_5_0 = g_5_0;
     l_5_0 = v_5_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > IIWA_POSE_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
@@ -482,7 +542,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     v_5_1 = g_5_1 - v_5_0 * l_1_0;
     l_5_1 = v_5_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > IIWA_POSE_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0 / d_2;
@@ -493,7 +553,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
     l_5_2 = v_5_2 * i_2;
     d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
-    if (!(d_3 > 3.666852862501036e-11 * g_3_3)) { /* bound exceeds g / d */
+    if (!(d_3 > IIWA_POSE_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
     i_3 = 1.0 / d_3;
@@ -502,14 +562,14 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
     l_5_3 = v_5_3 * i_3;
     d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
-    if (!(d_4 > 3.666852862501036e-11 * g_4_4)) { /* bound exceeds g / d */
+    if (!(d_4 > IIWA_POSE_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
     i_4 = 1.0 / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
-    if (!(d_5 > 3.666852862501036e-11 * g_5_5)) { /* bound exceeds g / d */
+    if (!(d_5 > IIWA_POSE_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
     i_5 = 1.0 / d_5;
@@ -522,19 +582,24 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     n_4_3 = iiwa_pose_abs(l_4_3);
     n_4_2 = iiwa_pose_abs(l_4_2) + iiwa_pose_abs(l_4_3) * n_3_2;
     n_4_1 = iiwa_pose_abs(l_4_1) + iiwa_pose_abs(l_4_2) * n_2_1 + iiwa_pose_abs(l_4_3) * n_3_1;
-    n_4_0 = iiwa_pose_abs(l_4_0) + iiwa_pose_abs(l_4_1) * n_1_0 + iiwa_pose_abs(l_4_2) * n_2_0 + iiwa_pose_abs(l_4_3) * n_3_0;
+    n_4_0 = iiwa_pose_abs(l_4_0) + iiwa_pose_abs(l_4_1) * n_1_0 + iiwa_pose_abs(l_4_2) * n_2_0
+        + iiwa_pose_abs(l_4_3) * n_3_0;
     n_5_4 = iiwa_pose_abs(l_5_4);
     n_5_3 = iiwa_pose_abs(l_5_3) + iiwa_pose_abs(l_5_4) * n_4_3;
     n_5_2 = iiwa_pose_abs(l_5_2) + iiwa_pose_abs(l_5_3) * n_3_2 + iiwa_pose_abs(l_5_4) * n_4_2;
-    n_5_1 = iiwa_pose_abs(l_5_1) + iiwa_pose_abs(l_5_2) * n_2_1 + iiwa_pose_abs(l_5_3) * n_3_1 + iiwa_pose_abs(l_5_4) * n_4_1;
-    n_5_0 = iiwa_pose_abs(l_5_0) + iiwa_pose_abs(l_5_1) * n_1_0 + iiwa_pose_abs(l_5_2) * n_2_0 + iiwa_pose_abs(l_5_3) * n_3_0 + iiwa_pose_abs(l_5_4) * n_4_0;
+    n_5_1 = iiwa_pose_abs(l_5_1) + iiwa_pose_abs(l_5_2) * n_2_1 + iiwa_pose_abs(l_5_3) * n_3_1
+        + iiwa_pose_abs(l_5_4) * n_4_1;
+    n_5_0 = iiwa_pose_abs(l_5_0) + iiwa_pose_abs(l_5_1) * n_1_0 + iiwa_pose_abs(l_5_2) * n_2_0
+        + iiwa_pose_abs(l_5_3) * n_3_0 + iiwa_pose_abs(l_5_4) * n_4_0;
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
     bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
-    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
-    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
-    if (!(bound <= 27271342415.357616)) {
+    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3
+        + g_4_4);
+    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3
+        + n_5_4 * n_5_4 * g_4_4 + g_5_5);
+    if (!(bound <= IIWA_POSE_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -569,13 +634,16 @@ static void iiwa_pose_normal_solve(const iiwa_pose_normal *f, const double *r, d
     const double a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
     const double a_3 = r[3] - f->lower[3] * a_0 - f->lower[4] * a_1 - f->lower[5] * a_2;
     const double a_4 = r[4] - f->lower[6] * a_0 - f->lower[7] * a_1 - f->lower[8] * a_2 - f->lower[9] * a_3;
-    const double a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3 - f->lower[14] * a_4;
+    const double a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3
+        - f->lower[14] * a_4;
     const double b_5 = f->inverse[5] * a_5;
     const double b_4 = f->inverse[4] * a_4 - f->lower[14] * b_5;
     const double b_3 = f->inverse[3] * a_3 - f->lower[13] * b_5 - f->lower[9] * b_4;
     const double b_2 = f->inverse[2] * a_2 - f->lower[12] * b_5 - f->lower[8] * b_4 - f->lower[5] * b_3;
-    const double b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3 - f->lower[2] * b_2;
-    const double b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    const double b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3
+        - f->lower[2] * b_2;
+    const double b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3
+        - f->lower[1] * b_2 - f->lower[0] * b_1;
     w[0] = b_0;
     w[1] = b_1;
     w[2] = b_2;
@@ -585,15 +653,16 @@ static void iiwa_pose_normal_solve(const iiwa_pose_normal *f, const double *r, d
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct iiwa_pose_line {
     double p[8];
     double l[8];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } iiwa_pose_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct iiwa_pose_qr {
     iiwa_pose_line line[6];
     iiwa_pose_line *at[6];
     double left[6];    /* squared length of at[k]->p */
@@ -604,7 +673,8 @@ typedef struct {
 } iiwa_pose_qr;
 
 /* rest -= along pivot, its squared length. */
-static IIWA_POSE_NEAR double iiwa_pose_take_out(double *restrict rest, const double *restrict pivot, double along)
+static IIWA_POSE_INLINE_WITH_VECTORS double iiwa_pose_take_out(double *restrict rest, const double *restrict pivot,
+    double along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -641,7 +711,7 @@ static void iiwa_pose_qr_reduce(iiwa_pose_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= IIWA_POSE_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -674,8 +744,8 @@ static void iiwa_pose_qr_factor(const double *B, iiwa_pose_qr *f)
     iiwa_pose_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -703,19 +773,22 @@ static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
     n_4_3 = iiwa_pose_abs(row_4[3]);
     n_4_2 = iiwa_pose_abs(row_4[2]) + iiwa_pose_abs(row_4[3]) * n_3_2;
     n_4_1 = iiwa_pose_abs(row_4[1]) + iiwa_pose_abs(row_4[2]) * n_2_1 + iiwa_pose_abs(row_4[3]) * n_3_1;
-    n_4_0 = iiwa_pose_abs(row_4[0]) + iiwa_pose_abs(row_4[1]) * n_1_0 + iiwa_pose_abs(row_4[2]) * n_2_0 + iiwa_pose_abs(row_4[3]) * n_3_0;
+    n_4_0 = iiwa_pose_abs(row_4[0]) + iiwa_pose_abs(row_4[1]) * n_1_0 + iiwa_pose_abs(row_4[2]) * n_2_0
+        + iiwa_pose_abs(row_4[3]) * n_3_0;
     n_5_4 = iiwa_pose_abs(row_5[4]);
     n_5_3 = iiwa_pose_abs(row_5[3]) + iiwa_pose_abs(row_5[4]) * n_4_3;
     n_5_2 = iiwa_pose_abs(row_5[2]) + iiwa_pose_abs(row_5[3]) * n_3_2 + iiwa_pose_abs(row_5[4]) * n_4_2;
-    n_5_1 = iiwa_pose_abs(row_5[1]) + iiwa_pose_abs(row_5[2]) * n_2_1 + iiwa_pose_abs(row_5[3]) * n_3_1 + iiwa_pose_abs(row_5[4]) * n_4_1;
-    n_5_0 = iiwa_pose_abs(row_5[0]) + iiwa_pose_abs(row_5[1]) * n_1_0 + iiwa_pose_abs(row_5[2]) * n_2_0 + iiwa_pose_abs(row_5[3]) * n_3_0 + iiwa_pose_abs(row_5[4]) * n_4_0;
+    n_5_1 = iiwa_pose_abs(row_5[1]) + iiwa_pose_abs(row_5[2]) * n_2_1 + iiwa_pose_abs(row_5[3]) * n_3_1
+        + iiwa_pose_abs(row_5[4]) * n_4_1;
+    n_5_0 = iiwa_pose_abs(row_5[0]) + iiwa_pose_abs(row_5[1]) * n_1_0 + iiwa_pose_abs(row_5[2]) * n_2_0
+        + iiwa_pose_abs(row_5[3]) * n_3_0 + iiwa_pose_abs(row_5[4]) * n_4_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
-    return bound * total < 1.4487435431179765e+28;
+    return bound * total < IIWA_POSE_QR_LIMIT;
 }
 
 /* a b, over the 8 numbers (the last 2 zero) of the triangle's columns. */
@@ -744,9 +817,10 @@ static void iiwa_pose_rotate(double *restrict a, double *restrict b, double s, d
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
-   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+/* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
 static int iiwa_pose_jacobi(double *t, int count, double *square)
 {
@@ -756,8 +830,8 @@ static int iiwa_pose_jacobi(double *t, int count, double *square)
         square[i] = iiwa_pose_short(t + 8 * i, t + 8 * i);
         least += square[i];
     }
-    least *= 4.930380657631324e-32;
-    for (sweep = 1; sweep <= 10; ++sweep) {
+    least *= IIWA_POSE_NEGLIGIBLE;
+    for (sweep = 1; sweep <= IIWA_POSE_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             double *const a = t + 8 * i;
@@ -782,20 +856,21 @@ static int iiwa_pose_jacobi(double *t, int count, double *square)
                 const double product = square[i] * square[j];
                 const double gap = square[i] - square[j];
                 double h, c, s;
-                if (inner * inner <= 8.628166150854818e-32 * product) {
+                if (inner * inner <= IIWA_POSE_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 1.4914401489334754e-30 * product) { /* more than rounding can bring back */
+                if (inner * inner > IIWA_POSE_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = iiwa_pose_sqrt(gap * gap + 4.0 * inner * inner);
                 c = iiwa_pose_sqrt(0.5 + 0.5 * (iiwa_pose_abs(gap) / h));
                 s = gap < 0.0 ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0 + c));
                 s /= h;
@@ -811,8 +886,8 @@ static int iiwa_pose_jacobi(double *t, int count, double *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int iiwa_pose_svd(const iiwa_pose_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -841,9 +916,9 @@ static int iiwa_pose_svd(const iiwa_pose_qr *f, double *left, double *sigma)
     return sweeps;
 }
 
-typedef struct {
+typedef struct iiwa_pose_factors {
     double B[48];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[6];   /* -16384 where a row counts as zero */
+    int exponent[6];   /* IIWA_POSE_NO_EXPONENT where a row counts as zero */
     iiwa_pose_normal normal;
     iiwa_pose_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -868,9 +943,10 @@ static const double iiwa_pose_atol[6] = {
     5.684341886080802e-14
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void iiwa_pose_undo_scaling(iiwa_pose_factors *f, int top)
 {
     double F[36]; /* column k in F + 6 k; reflections below the diagonal, R above */
@@ -888,7 +964,7 @@ static void iiwa_pose_undo_scaling(iiwa_pose_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 6; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[6 * k + i] = exponent == -16384 ? 0.0 :
+            F[6 * k + i] = exponent == IIWA_POSE_NO_EXPONENT ? 0.0 :
                 iiwa_pose_shift(f->left[6 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -965,18 +1041,18 @@ static void iiwa_pose_undo_scaling(iiwa_pose_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is IIWA_POSE_NO_EXPONENT. */
 static void iiwa_pose_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 6; ++i) {
         const double *const row = S + 7 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -IIWA_POSE_EXPONENT_MAX && exponent[i] <= -IIWA_POSE_EXPONENT_MIN) {
             iiwa_pose_spread(row, iiwa_pose_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[7];
             for (j = 0; j < 7; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : iiwa_pose_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == IIWA_POSE_NO_EXPONENT ? 0.0 : iiwa_pose_shift(row[j], -exponent[i]);
             }
             iiwa_pose_spread(shifted, 1.0, B + 8 * i);
         }
@@ -1039,8 +1115,9 @@ static void iiwa_pose_vectors(iiwa_pose_factors *f, const double *u)
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static IIWA_POSE_APART int iiwa_pose_factorise_svd(const double *S, iiwa_pose_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static IIWA_POSE_NOINLINE int iiwa_pose_factorise_svd(const double *S, iiwa_pose_factors *f, int top, int bottom)
 {
     double u[48];
     int i;
@@ -1050,7 +1127,7 @@ static IIWA_POSE_APART int iiwa_pose_factorise_svd(const double *S, iiwa_pose_fa
     }
     f->rank = 0;
     for (i = 0; i < 6; ++i) {
-        f->rank += f->sigma[i] > 1.5543122344752192e-15 * f->sigma[0];
+        f->rank += f->sigma[i] > IIWA_POSE_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 6;
     if (!f->direct) {
@@ -1058,7 +1135,7 @@ static IIWA_POSE_APART int iiwa_pose_factorise_svd(const double *S, iiwa_pose_fa
         if (f->rank > 0 && bottom != top) {
             iiwa_pose_undo_scaling(f, top);
             for (i = 0; i < 6; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == IIWA_POSE_NO_EXPONENT ? IIWA_POSE_NO_EXPONENT : top;
             }
             iiwa_pose_scale(S, f->exponent, f->B);
         }
@@ -1067,19 +1144,19 @@ static IIWA_POSE_APART int iiwa_pose_factorise_svd(const double *S, iiwa_pose_fa
 }
 
 /* The ladder, from the step `from` on. */
-static IIWA_POSE_APART int iiwa_pose_factorise(const double *S, iiwa_pose_factors *f, int from)
+static IIWA_POSE_NOINLINE int iiwa_pose_factorise(const double *S, iiwa_pose_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = IIWA_POSE_NO_EXPONENT;
+    int bottom = -IIWA_POSE_NO_EXPONENT;
     int i;
     for (i = 0; i < 6; ++i) {
         iiwa_pose_word word;
         word.bits = iiwa_pose_largest(S + 7 * i, 7);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= IIWA_POSE_INFINITY_BITS) {
             return IIWA_POSE_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = IIWA_POSE_NO_EXPONENT;
         if (word.value > iiwa_pose_atol[i]) {
             f->exponent[i] = iiwa_pose_length(S + 7 * i, iiwa_pose_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -1112,7 +1189,7 @@ static IIWA_POSE_APART int iiwa_pose_factorise(const double *S, iiwa_pose_factor
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static IIWA_POSE_APART double iiwa_pose_sigma_min(const double *S, iiwa_pose_factors *f)
+static IIWA_POSE_NOINLINE double iiwa_pose_sigma_min(const double *S, iiwa_pose_factors *f)
 {
     const uint64_t magnitude = iiwa_pose_largest(S, 42);
     const int top = magnitude == 0 ? 0 : iiwa_pose_exponent(magnitude);
@@ -1129,12 +1206,12 @@ static IIWA_POSE_APART double iiwa_pose_sigma_min(const double *S, iiwa_pose_fac
     return iiwa_pose_shift(f->sigma[5], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int iiwa_pose_refuse(int status, iiwa_pose_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = IIWA_POSE_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -1143,8 +1220,9 @@ static int iiwa_pose_refuse(int status, iiwa_pose_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= IIWA_POSE_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
 static int iiwa_pose_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
 {
@@ -1153,7 +1231,7 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
     double norm = 0.0;
     double y_square = 0.0;
     int unit[6];
-    int top = -16384;
+    int top = IIWA_POSE_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -1161,9 +1239,9 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 7; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : iiwa_pose_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == IIWA_POSE_NO_EXPONENT ? 0.0 : iiwa_pose_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != IIWA_POSE_NO_EXPONENT) {
             const double yj = iiwa_pose_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1173,17 +1251,18 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
         const double *const row = S + 7 * i;
         const int row_unit = iiwa_pose_exponent(iiwa_pose_largest(row, 7));
         const int z_unit = iiwa_pose_exponent(iiwa_pose_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == IIWA_POSE_NO_EXPONENT || tau_unit == IIWA_POSE_NO_EXPONENT
+            ? IIWA_POSE_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == IIWA_POSE_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != IIWA_POSE_NO_EXPONENT) {
             for (j = 0; j < 7; ++j) {
                 const double s = iiwa_pose_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1193,21 +1272,21 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
         }
         target = iiwa_pose_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.2434497875801753e-14 * (scale * iiwa_pose_sqrt(square) * norm + (target < 0.0 ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += iiwa_pose_shift(iiwa_pose_atol[i], tau_unit - unit[i]) * norm * 2.6457513110645907;
+        allowed = IIWA_POSE_CONSISTENCY * (scale * iiwa_pose_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != IIWA_POSE_NO_EXPONENT) {
+            allowed += iiwa_pose_shift(iiwa_pose_atol[i], tau_unit - unit[i]) * norm * IIWA_POSE_ROOT_L;
         }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 6; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != IIWA_POSE_NO_EXPONENT) {
             rest[i] = iiwa_pose_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : iiwa_pose_shift(iiwa_pose_sqrt(norm), top);
+    *residual = top == IIWA_POSE_NO_EXPONENT ? 0.0 : iiwa_pose_shift(iiwa_pose_sqrt(norm), top);
     return met;
 }
 
@@ -1226,7 +1305,8 @@ static void iiwa_pose_qr_apply(const iiwa_pose_qr *f, const double *restrict r, 
     const iiwa_pose_line *const p_4 = f->at[4];
     const double w_4 = p_4->unit * r[p_4->row] - p_4->l[0] * w_0 - p_4->l[1] * w_1 - p_4->l[2] * w_2 - p_4->l[3] * w_3;
     const iiwa_pose_line *const p_5 = f->at[5];
-    const double w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3 - p_5->l[4] * w_4;
+    const double w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3
+        - p_5->l[4] * w_4;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     double c_2 = w_2 * f->inverse[2];
@@ -1239,27 +1319,32 @@ static void iiwa_pose_qr_apply(const iiwa_pose_qr *f, const double *restrict r, 
         c_3 = (w_3 - f->cross[13] * c_5 - f->cross[9] * c_4) * f->inverse[3];
         c_2 = (w_2 - f->cross[12] * c_5 - f->cross[8] * c_4 - f->cross[5] * c_3) * f->inverse[2];
         c_1 = (w_1 - f->cross[11] * c_5 - f->cross[7] * c_4 - f->cross[4] * c_3 - f->cross[2] * c_2) * f->inverse[1];
-        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
+        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2
+            - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j] + c_5 * p_5->p[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j]
+            + c_5 * p_5->p[j];
     }
 }
 
 /* x = S+ r from the normal equations. */
-static void iiwa_pose_normal_apply(const iiwa_pose_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void iiwa_pose_normal_apply(const iiwa_pose_normal *f, const double *B, const double *restrict r,
+    double *restrict x)
 {
     double w[6];
     int j;
     iiwa_pose_normal_solve(f, r, w);
-    IIWA_POSE_WRITTEN_OUT
+    IIWA_POSE_UNROLL
     for (j = 0; j < 8; ++j) {
-        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
+        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32]
+            + w[5] * B[j + 40];
     }
 }
 
 /* r = z - B t. */
-static IIWA_POSE_NEAR void iiwa_pose_residual(const double *B, const double *z, const double *t, double *restrict r)
+static IIWA_POSE_INLINE_WITH_VECTORS void iiwa_pose_residual(const double *B, const double *z, const double *t,
+    double *restrict r)
 {
     r[0] = z[0] - iiwa_pose_inner(B, t);
     r[1] = z[1] - iiwa_pose_inner(B + 8, t);
@@ -1297,14 +1382,16 @@ static void iiwa_pose_apply(const iiwa_pose_factors *f, const double *r, double 
     }
 }
 
-static IIWA_POSE_APART int iiwa_pose_solve_scaled(const double *S, const double *z, const double *y, double *tau, iiwa_pose_info *info, int from)
+static IIWA_POSE_NOINLINE int iiwa_pose_solve_scaled(const double *S, const double *z, const double *y, double *tau,
+    iiwa_pose_info *info, int from)
 {
     iiwa_pose_factors f;
     double zs[6], ys[8], r[6], x[8], answer[7];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = IIWA_POSE_NO_EXPONENT;
     int status, i, j;
-    if (iiwa_pose_largest(z, 6) >= UINT64_C(0x7ff0000000000000) || (y != NULL && iiwa_pose_largest(y, 7) >= UINT64_C(0x7ff0000000000000))) {
+    if (iiwa_pose_largest(z, 6) >= IIWA_POSE_INFINITY_BITS
+            || (y != NULL && iiwa_pose_largest(y, 7) >= IIWA_POSE_INFINITY_BITS)) {
         return iiwa_pose_refuse(IIWA_POSE_NONFINITE, info);
     }
     status = iiwa_pose_factorise(S, &f, from);
@@ -1317,18 +1404,18 @@ static IIWA_POSE_APART int iiwa_pose_solve_scaled(const double *S, const double 
     }
     for (i = 0; i < 6; ++i) {
         const int own = iiwa_pose_exponent(iiwa_pose_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != IIWA_POSE_NO_EXPONENT && own != IIWA_POSE_NO_EXPONENT && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == IIWA_POSE_NO_EXPONENT) {
         unit = 0;
     }
     for (j = 0; j < 8; ++j) {
         ys[j] = 0.0;
     }
     for (i = 0; i < 6; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : iiwa_pose_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == IIWA_POSE_NO_EXPONENT ? 0.0 : iiwa_pose_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 7; ++j) {
         ys[(j < 4 ? j : j + 1)] = y == NULL ? 0.0 : iiwa_pose_shift(y[j], -unit);
@@ -1350,7 +1437,7 @@ static IIWA_POSE_APART int iiwa_pose_solve_scaled(const double *S, const double 
             answer[j] += iiwa_pose_shift(x[(j < 4 ? j : j + 1)], unit);
         }
     }
-    if (iiwa_pose_largest(answer, 7) >= UINT64_C(0x7ff0000000000000)) {
+    if (iiwa_pose_largest(answer, 7) >= IIWA_POSE_INFINITY_BITS) {
         return iiwa_pose_refuse(IIWA_POSE_OVERFLOW, info);
     }
     if (f.rank < 6 || info != NULL) {
@@ -1373,7 +1460,8 @@ static IIWA_POSE_APART int iiwa_pose_solve_scaled(const double *S, const double 
     return status;
 }
 
-static IIWA_POSE_APART void iiwa_pose_report(const double *S, const double *z, const double *y, const double *tau, int path, iiwa_pose_info *info)
+static IIWA_POSE_NOINLINE void iiwa_pose_report(const double *S, const double *z, const double *y, const double *tau,
+    int path, iiwa_pose_info *info)
 {
     iiwa_pose_factors f;
     (void)iiwa_pose_consistent(S, z, y, tau, &info->residual);
@@ -1386,7 +1474,8 @@ static IIWA_POSE_APART void iiwa_pose_report(const double *S, const double *z, c
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSE_NEAR void iiwa_pose_correct(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSE_INLINE_WITH_VECTORS void iiwa_pose_correct(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr,
+    const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_pose_qr_apply(qr, r, x, careful);
@@ -1396,7 +1485,8 @@ static IIWA_POSE_NEAR void iiwa_pose_correct(const iiwa_pose_normal *normal, con
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr, const double *S, const double *B,
+static IIWA_POSE_INLINE_WITH_VECTORS int iiwa_pose_answer(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr,
+    const double *S, const double *B,
     const double *z, const double *y, double *tau, iiwa_pose_info *info)
 {
     double r[6], x[8], step[8];
@@ -1421,7 +1511,8 @@ static IIWA_POSE_NEAR int iiwa_pose_answer(const iiwa_pose_normal *normal, const
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_pose_within(iiwa_pose_biased_square(iiwa_pose_inner(x, x)), 23, 1923)) {
+    if (!iiwa_pose_within(iiwa_pose_biased_square(iiwa_pose_inner(x, x)), IIWA_POSE_ANSWER_LOW,
+            IIWA_POSE_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
@@ -1440,10 +1531,10 @@ static int iiwa_pose_qr_scaled(const double *B, iiwa_pose_qr *f)
     int i, j;
     for (i = 0; i < 6; ++i) {
         f->left[i] = iiwa_pose_inner(B + 8 * i, B + 8 * i);
-        exponent[i] = (iiwa_pose_biased(f->left[i]) + 1023) / 2; /* of the length */
+        exponent[i] = (iiwa_pose_biased(f->left[i]) + IIWA_POSE_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 6; ++i) {
-        const double unit = iiwa_pose_power(1023 - (int)exponent[i]);
+        const double unit = iiwa_pose_power(IIWA_POSE_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 8; ++j) {
             f->line[i].p[j] = unit * B[8 * i + j];
         }
@@ -1455,7 +1546,8 @@ static int iiwa_pose_qr_scaled(const double *B, iiwa_pose_qr *f)
     return iiwa_pose_qr_certified(f);
 }
 
-static IIWA_POSE_APART int iiwa_pose_solve_qr(const double *S, const double *z, const double *y, double *tau, iiwa_pose_info *info)
+static IIWA_POSE_NOINLINE int iiwa_pose_solve_qr(const double *S, const double *z, const double *y, double *tau,
+    iiwa_pose_info *info)
 {
     iiwa_pose_qr f;
     double B[48];
@@ -1495,7 +1587,7 @@ static int iiwa_pose_solve_core(const double *S, const double *z, const double *
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static IIWA_POSE_APART int iiwa_pose_pinv_core(const double *S, double *S_pinv, iiwa_pose_info *info)
+static IIWA_POSE_NOINLINE int iiwa_pose_pinv_core(const double *S, double *S_pinv, iiwa_pose_info *info)
 {
     iiwa_pose_factors f;
     double unit[6], x[8], answer[42];
@@ -1508,7 +1600,7 @@ static IIWA_POSE_APART int iiwa_pose_pinv_core(const double *S, double *S_pinv, 
         unit[i] = 0.0;
     }
     for (i = 0; i < 6; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == IIWA_POSE_NO_EXPONENT;
         unit[i] = 1.0;
         iiwa_pose_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1516,7 +1608,7 @@ static IIWA_POSE_APART int iiwa_pose_pinv_core(const double *S, double *S_pinv, 
             answer[6 * j + i] = zero_row ? 0.0 : iiwa_pose_shift(x[(j < 4 ? j : j + 1)], -f.exponent[i]);
         }
     }
-    if (iiwa_pose_largest(answer, 42) >= UINT64_C(0x7ff0000000000000)) {
+    if (iiwa_pose_largest(answer, 42) >= IIWA_POSE_INFINITY_BITS) {
         return iiwa_pose_refuse(IIWA_POSE_OVERFLOW, info);
     }
     status = f.rank < 6 ? IIWA_POSE_RANK_DEFICIENT_CONSISTENT : IIWA_POSE_OK;
@@ -1534,7 +1626,7 @@ static IIWA_POSE_APART int iiwa_pose_pinv_core(const double *S, double *S_pinv, 
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void iiwa_pose_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1545,10 +1637,11 @@ static void iiwa_pose_copy(const double *from, double *to, int n)
 
 static int iiwa_pose_finite(const double *x, int n)
 {
-    return iiwa_pose_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return iiwa_pose_largest(x, n) < IIWA_POSE_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* IIWA_POSE_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
+   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int iiwa_pose_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1563,7 +1656,7 @@ static int iiwa_pose_mass_status(const double *pivot, const double *scale, int n
     return IIWA_POSE_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int iiwa_pose_input_finite(const iiwa_pose_input *in)
 {
     return iiwa_pose_finite(in->q, 7)
@@ -1574,17 +1667,8 @@ static int iiwa_pose_input_finite(const iiwa_pose_input *in)
            && iiwa_pose_finite(in->o, 4);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define IIWA_POSE_COLD __attribute__((noinline, cold))
-#define IIWA_POSE_SMALL inline __attribute__((always_inline))
-#else
-#define IIWA_POSE_COLD
-#define IIWA_POSE_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static IIWA_POSE_COLD int iiwa_pose_reason(int status, const iiwa_pose_input *in)
 {
     if (!iiwa_pose_input_finite(in)) {
@@ -1596,6 +1680,7 @@ static IIWA_POSE_COLD int iiwa_pose_reason(int status, const iiwa_pose_input *in
 static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_input *in, double *psi)
 {
     (void)model;
+    /* towards psi */
     const iiwa_pose_pair t0 = iiwa_pose_sincos(in->q[5]);
     const iiwa_pose_pair t1 = iiwa_pose_sincos(in->q[3]);
     const iiwa_pose_pair t2 = iiwa_pose_sincos(in->q[1]);
@@ -1790,16 +1875,21 @@ static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_inp
 }
 
 
-static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *mass_pivot, double *mass_scale)
+static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *mass_pivot,
+    double *mass_scale)
 {
     (void)model;
+    /* towards S, pivots of Q */
     const iiwa_pose_pair t0 = iiwa_pose_sincos(in->q[5]);
     const iiwa_pose_pair t1 = iiwa_pose_sincos(in->q[3]);
     const iiwa_pose_pair t2 = iiwa_pose_sincos(in->q[1]);
+    /* towards S */
     const iiwa_pose_pair t3 = iiwa_pose_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S, pivots of Q */
     const iiwa_pose_pair t6 = iiwa_pose_sincos(in->q[2]);
+    /* towards S */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -1809,7 +1899,9 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S, pivots of Q */
     const iiwa_pose_pair t16 = iiwa_pose_sincos(in->q[4]);
+    /* towards S */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -1853,6 +1945,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t57 = t55 + t56;
     const double t58 = 0.42 * t33;
     const double t59 = t57 + t58;
+    /* towards S, pivots of Q */
     const double t60 = t1.cos * t2.cos;
     const double t61 = t2.sin * t6.cos;
     const double t62 = t1.sin * t61;
@@ -1862,12 +1955,15 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t66 = t1.sin * t2.cos;
     const double t67 = t66 - t64;
     const double t68 = t16.cos * t67;
+    /* towards S */
     const double t69 = t16.sin * t67;
+    /* towards S, pivots of Q */
     const double t70 = t2.sin * t6.sin;
     const double t71 = t16.sin * t70;
     const double t72 = t68 + t71;
     const double t73 = t0.sin * t72;
     const double t74 = t65 + t73;
+    /* towards S */
     const double t75 = t0.cos * t72;
     const double t76 = 0.081 * t74;
     const double t77 = 0.4 * t63;
@@ -1985,6 +2081,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t189 = 0.5 * t188;
     const double t190 = t53 * t116;
     const double t191 = t181 + t190;
+    /* towards S, pivots of Q */
     const double t192 = t0.cos * 0.012552;
     const double t193 = -0.008760948 - t192;
     const double t194 = t16.sin * t193;
@@ -2026,12 +2123,14 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t230 = t212 - t229;
     const double t231 = t228 * 114.14289869087227;
     const double t232 = t228 * t231;
+    /* towards S */
     const double t233 = t55 * t87;
     const double t234 = t76 * t126;
     const double t235 = t233 - t234;
     const double t236 = t231 * t235;
     const double t237 = t59 + t236;
     const double t238 = t3.sin * t59;
+    /* towards S, pivots of Q */
     const double t239 = t0.cos * 0.005460948;
     const double t240 = t0.cos * t239;
     const double t241 = 0.012552 + t239;
@@ -2083,6 +2182,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t287 = 1.0 / t286;
     const double t288 = t283 * t287;
     const double t289 = t283 * t288;
+    /* towards S */
     const double t290 = t41 * t76;
     const double t291 = t55 * t63;
     const double t292 = t290 - t291;
@@ -2090,6 +2190,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t294 = t292 + t293;
     const double t295 = t288 * t294;
     const double t296 = t237 + t295;
+    /* towards S, pivots of Q */
     const double t297 = t245 - 0.006199988;
     const double t298 = t16.cos * t297;
     const double t299 = t215 + t215;
@@ -2149,6 +2250,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t353 = 1.0 / t352;
     const double t354 = t347 * t353;
     const double t355 = t347 * t354;
+    /* towards S */
     const double t356 = t57 * t70;
     const double t357 = t49 * t78;
     const double t358 = t356 - t357;
@@ -2158,6 +2260,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t362 = t360 - t361;
     const double t363 = t354 * t362;
     const double t364 = t296 + t363;
+    /* towards S, pivots of Q */
     const double t365 = t307 - t333;
     const double t366 = t1.cos * t365;
     const double t367 = t366 - t258;
@@ -2207,6 +2310,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t411 = 1.0 / t410;
     const double t412 = t403 * t411;
     const double t413 = t403 * t412;
+    /* towards S */
     const double t414 = t33 * t78;
     const double t415 = t2.cos * t57;
     const double t416 = t414 - t415;
@@ -2218,6 +2322,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t422 = t420 - t421;
     const double t423 = t412 * t422;
     const double t424 = t364 + t423;
+    /* towards S, pivots of Q */
     const double t425 = t372 - t308;
     const double t426 = t6.cos * t425;
     const double t427 = t6.sin * t317;
@@ -2285,6 +2390,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t489 = t469 * t488;
     const double t490 = t469 * t489;
     const double t491 = t484 - t490;
+    /* towards S */
     const double t492 = t3.cos * t80;
     const double t493 = t3.sin * t80;
     const double t494 = t235 * t446;
@@ -2338,6 +2444,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t542 = t522 * t309;
     const double t543 = t0.cos * t530;
     const double t544 = t542 - t543;
+    /* towards S, pivots of Q */
     const double t545 = t1.sin * t310;
     const double t546 = t1.cos * t310;
     const double t547 = t0.cos * t1.cos;
@@ -2346,6 +2453,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t550 = t546 - t549;
     const double t551 = t6.sin * t550;
     const double t552 = t551 + t440;
+    /* towards S */
     const double t553 = t516 * t548;
     const double t554 = t544 - t553;
     const double t555 = t512 * t552;
@@ -2878,6 +2986,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     const double t1082 = t1080 - t1081;
     const double t1083 = t74 * t1043;
     const double t1084 = t1082 - t1083;
+    /* towards pivots of Q */
     const double t1085 = t0.cos * 0.001;
     const double t1086 = t0.cos * t1085;
     const double t1087 = t247 + t1086;
@@ -2936,7 +3045,7 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     S[39] = t1063;
     S[40] = t1074;
     S[41] = t1084;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t286;
     mass_scale[0] = t1087;
     mass_pivot[1] = t352;
@@ -2950,16 +3059,21 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
 }
 
 
-static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z, double *mass_pivot, double *mass_scale)
+static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z, double *mass_pivot,
+    double *mass_scale)
 {
     (void)model;
+    /* towards z, pivots of Q */
     const iiwa_pose_pair t0 = iiwa_pose_sincos(in->q[5]);
     const iiwa_pose_pair t1 = iiwa_pose_sincos(in->q[3]);
     const iiwa_pose_pair t2 = iiwa_pose_sincos(in->q[1]);
+    /* towards z */
     const iiwa_pose_pair t3 = iiwa_pose_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards z, pivots of Q */
     const iiwa_pose_pair t6 = iiwa_pose_sincos(in->q[2]);
+    /* towards z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -2969,7 +3083,9 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards z, pivots of Q */
     const iiwa_pose_pair t16 = iiwa_pose_sincos(in->q[4]);
+    /* towards z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -3015,6 +3131,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t59 = t57 + t58;
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards z, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -3024,12 +3141,15 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards z */
     const double t71 = t16.sin * t69;
+    /* towards z, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
@@ -3155,6 +3275,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t199 = t54 * t121;
     const double t200 = t190 + t199;
     const double t201 = t193 - t198;
+    /* towards z, pivots of Q */
     const double t202 = t0.cos * 0.012552;
     const double t203 = -0.008760948 - t202;
     const double t204 = t16.sin * t203;
@@ -3196,11 +3317,13 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t240 = t222 - t239;
     const double t241 = t238 * 114.14289869087227;
     const double t242 = t238 * t241;
+    /* towards z */
     const double t243 = t55 * t92;
     const double t244 = t77 * t132;
     const double t245 = t243 - t244;
     const double t246 = t241 * t245;
     const double t247 = t59 + t246;
+    /* towards z, pivots of Q */
     const double t248 = t0.cos * 0.005460948;
     const double t249 = t0.cos * t248;
     const double t250 = 0.012552 + t248;
@@ -3252,6 +3375,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t296 = 1.0 / t295;
     const double t297 = t292 * t296;
     const double t298 = t292 * t297;
+    /* towards z */
     const double t299 = t42 * t77;
     const double t300 = t55 * t65;
     const double t301 = t299 - t300;
@@ -3260,6 +3384,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t304 = t301 * in->u[4];
     const double t305 = t297 * t303;
     const double t306 = t247 + t305;
+    /* towards z, pivots of Q */
     const double t307 = t254 - 0.006199988;
     const double t308 = t16.cos * t307;
     const double t309 = t225 + t225;
@@ -3317,6 +3442,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t361 = 1.0 / t360;
     const double t362 = t355 * t361;
     const double t363 = t355 * t362;
+    /* towards z */
     const double t364 = t57 * t72;
     const double t365 = t50 * t79;
     const double t366 = t364 - t365;
@@ -3327,6 +3453,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t371 = t368 - t370;
     const double t372 = t362 * t371;
     const double t373 = t306 + t372;
+    /* towards z, pivots of Q */
     const double t374 = t317 - t341;
     const double t375 = t1.cos * t374;
     const double t376 = t375 - t267;
@@ -3376,6 +3503,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t420 = 1.0 / t419;
     const double t421 = t412 * t420;
     const double t422 = t412 * t421;
+    /* towards z */
     const double t423 = t34 * t79;
     const double t424 = t2.cos * t57;
     const double t425 = t423 - t424;
@@ -3388,6 +3516,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t432 = t430 - t431;
     const double t433 = t421 * t432;
     const double t434 = t373 + t433;
+    /* towards z, pivots of Q */
     const double t435 = t381 - t318;
     const double t436 = t6.cos * t435;
     const double t437 = t6.sin * t325;
@@ -3454,6 +3583,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t498 = t479 * t497;
     const double t499 = t479 * t498;
     const double t500 = t496 - t499;
+    /* towards z */
     const double t501 = t3.cos * t81;
     const double t502 = t3.sin * t81;
     const double t503 = t245 * t455;
@@ -3467,6 +3597,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t511 = t509 - t510;
     const double t512 = t498 * t511;
     const double t513 = t434 + t512;
+    /* towards z, pivots of Q */
     const double t514 = t0.sin * t16.sin;
     const double t515 = t0.sin * t16.cos;
     const double t516 = t1.sin * t515;
@@ -3478,6 +3609,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t522 = t6.sin * t521;
     const double t523 = t6.cos * t514;
     const double t524 = t522 + t523;
+    /* towards z */
     const double t525 = t77 * t156;
     const double t526 = t13 * t77;
     const double t527 = t27 * t92;
@@ -4454,6 +4586,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     const double t1498 = t1486 + t1497;
     const double t1499 = (-t1494) - t1345;
     const double t1500 = (-t1498) - t1348;
+    /* towards pivots of Q */
     const double t1501 = t0.cos * 0.001;
     const double t1502 = t0.cos * t1501;
     const double t1503 = t256 + t1502;
@@ -4476,7 +4609,7 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     z[3] = t1470;
     z[4] = t1499;
     z[5] = t1500;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1503;
     mass_pivot[1] = t360;
@@ -4490,16 +4623,21 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
 }
 
 
-static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
+static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z,
+    double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_pair t0 = iiwa_pose_sincos(in->q[5]);
     const iiwa_pose_pair t1 = iiwa_pose_sincos(in->q[3]);
     const iiwa_pose_pair t2 = iiwa_pose_sincos(in->q[1]);
+    /* towards S, z */
     const iiwa_pose_pair t3 = iiwa_pose_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_pair t6 = iiwa_pose_sincos(in->q[2]);
+    /* towards S, z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -4509,7 +4647,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S, z, pivots of Q */
     const iiwa_pose_pair t16 = iiwa_pose_sincos(in->q[4]);
+    /* towards S, z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -4525,8 +4665,10 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t29 = t27 + t28;
     const double t30 = t4 * 0.42;
     const double t31 = t29 + t30;
+    /* towards z */
     const double t32 = t31 - in->r[0];
     const double t33 = t32 * 100.0;
+    /* towards S, z */
     const double t34 = t2.sin * t3.sin;
     const double t35 = t1.cos * t34;
     const double t36 = t2.cos * t3.sin;
@@ -4553,8 +4695,10 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t57 = t55 + t56;
     const double t58 = 0.42 * t34;
     const double t59 = t57 + t58;
+    /* towards z */
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards S, z, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -4564,20 +4708,25 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards S, z */
     const double t71 = t16.sin * t69;
+    /* towards S, z, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards S, z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
     const double t80 = t2.cos * 0.42;
     const double t81 = t79 + t80;
+    /* towards z */
     const double t82 = t81 + 0.36;
     const double t83 = t82 - in->r[2];
     const double t84 = t83 * 100.0;
+    /* towards S, z */
     const iiwa_pose_pair t85 = iiwa_pose_sincos(in->q[6]);
     const double t86 = t0.sin * t65;
     const double t87 = t0.cos * t74;
@@ -4642,7 +4791,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t146 = t54 * t105;
     const double t147 = t145 + t146;
     const double t148 = 0.5 * t147;
+    /* towards z */
     const double t149 = t125 - t148;
+    /* towards S, z */
     const double t150 = t0.cos * t23;
     const double t151 = t13 * t0.sin;
     const double t152 = t150 + t151;
@@ -4671,7 +4822,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t175 = t76 * t143;
     const double t176 = t169 + t175;
     const double t177 = 0.5 * t176;
+    /* towards z */
     const double t178 = t172 - t177;
+    /* towards S, z */
     const double t179 = t134 * t114;
     const double t180 = t158 * t114;
     const double t181 = t104 * t158;
@@ -4694,7 +4847,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t198 = 0.5 * t197;
     const double t199 = t54 * t121;
     const double t200 = t190 + t199;
+    /* towards z */
     const double t201 = t193 - t198;
+    /* towards S, z, pivots of Q */
     const double t202 = t0.cos * 0.012552;
     const double t203 = -0.008760948 - t202;
     const double t204 = t16.sin * t203;
@@ -4736,11 +4891,13 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t240 = t222 - t239;
     const double t241 = t238 * 114.14289869087227;
     const double t242 = t238 * t241;
+    /* towards S, z */
     const double t243 = t55 * t92;
     const double t244 = t77 * t132;
     const double t245 = t243 - t244;
     const double t246 = t241 * t245;
     const double t247 = t59 + t246;
+    /* towards S, z, pivots of Q */
     const double t248 = t0.cos * 0.005460948;
     const double t249 = t0.cos * t248;
     const double t250 = 0.012552 + t248;
@@ -4792,14 +4949,18 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t296 = 1.0 / t295;
     const double t297 = t292 * t296;
     const double t298 = t292 * t297;
+    /* towards S, z */
     const double t299 = t42 * t77;
     const double t300 = t55 * t65;
     const double t301 = t299 - t300;
     const double t302 = t245 * t293;
     const double t303 = t301 + t302;
+    /* towards z */
     const double t304 = t301 * in->u[4];
+    /* towards S, z */
     const double t305 = t297 * t303;
     const double t306 = t247 + t305;
+    /* towards S, z, pivots of Q */
     const double t307 = t254 - 0.006199988;
     const double t308 = t16.cos * t307;
     const double t309 = t225 + t225;
@@ -4857,16 +5018,20 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t361 = 1.0 / t360;
     const double t362 = t355 * t361;
     const double t363 = t355 * t362;
+    /* towards S, z */
     const double t364 = t57 * t72;
     const double t365 = t50 * t79;
     const double t366 = t364 - t365;
     const double t367 = t245 * t351;
     const double t368 = t366 - t367;
+    /* towards z */
     const double t369 = t366 * in->u[3];
+    /* towards S, z */
     const double t370 = t303 * t358;
     const double t371 = t368 - t370;
     const double t372 = t362 * t371;
     const double t373 = t306 + t372;
+    /* towards S, z, pivots of Q */
     const double t374 = t317 - t341;
     const double t375 = t1.cos * t374;
     const double t376 = t375 - t267;
@@ -4916,18 +5081,22 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t420 = 1.0 / t419;
     const double t421 = t412 * t420;
     const double t422 = t412 * t421;
+    /* towards S, z */
     const double t423 = t34 * t79;
     const double t424 = t2.cos * t57;
     const double t425 = t423 - t424;
     const double t426 = t245 * t401;
     const double t427 = t425 - t426;
+    /* towards z */
     const double t428 = t425 * in->u[2];
+    /* towards S, z */
     const double t429 = t303 * t408;
     const double t430 = t427 - t429;
     const double t431 = t371 * t417;
     const double t432 = t430 - t431;
     const double t433 = t421 * t432;
     const double t434 = t373 + t433;
+    /* towards S, z, pivots of Q */
     const double t435 = t381 - t318;
     const double t436 = t6.cos * t435;
     const double t437 = t6.sin * t325;
@@ -4994,11 +5163,14 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t498 = t478 * t497;
     const double t499 = t478 * t498;
     const double t500 = t493 - t499;
+    /* towards S, z */
     const double t501 = t3.cos * t81;
     const double t502 = t3.sin * t81;
     const double t503 = t245 * t455;
     const double t504 = t501 - t503;
+    /* towards z */
     const double t505 = t501 * in->u[1];
+    /* towards S, z */
     const double t506 = t303 * t465;
     const double t507 = t504 - t506;
     const double t508 = t371 * t473;
@@ -5007,6 +5179,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t511 = t509 - t510;
     const double t512 = t498 * t511;
     const double t513 = t434 + t512;
+    /* towards S */
     const double t514 = 1.0 / t500;
     const double t515 = t513 * t514;
     const double t516 = t497 * t511;
@@ -5045,25 +5218,32 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t549 = t241 * t515;
     const double t550 = t548 + t549;
     const double t551 = t76 * t515;
+    /* towards S, z, pivots of Q */
     const double t552 = t0.sin * t16.sin;
+    /* towards S */
     const double t553 = t530 * t552;
     const double t554 = t0.cos * t539;
     const double t555 = t553 - t554;
+    /* towards S, z, pivots of Q */
     const double t556 = t0.sin * t16.cos;
     const double t557 = t1.sin * t556;
     const double t558 = t1.cos * t556;
     const double t559 = t0.cos * t1.cos;
     const double t560 = t557 + t559;
+    /* towards S */
     const double t561 = t523 * t560;
     const double t562 = t555 - t561;
+    /* towards S, z, pivots of Q */
     const double t563 = t0.cos * t1.sin;
     const double t564 = t558 - t563;
     const double t565 = t6.sin * t564;
     const double t566 = t6.cos * t552;
     const double t567 = t565 + t566;
+    /* towards S */
     const double t568 = t518 * t567;
     const double t569 = t562 - t568;
     const double t570 = t569 + t551;
+    /* towards S, z */
     const double t571 = t77 * t156;
     const double t572 = t13 * t77;
     const double t573 = t27 * t92;
@@ -5074,7 +5254,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t578 = t577 - t572;
     const double t579 = t293 * t574;
     const double t580 = t578 + t579;
+    /* towards z */
     const double t581 = t578 * in->u[4];
+    /* towards S, z */
     const double t582 = t297 * t580;
     const double t583 = t576 - t582;
     const double t584 = t29 * t72;
@@ -5083,7 +5265,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t587 = t4 * t79;
     const double t588 = t351 * t574;
     const double t589 = t586 + t588;
+    /* towards z */
     const double t590 = t586 * in->u[3];
+    /* towards S, z */
     const double t591 = t358 * t580;
     const double t592 = t589 + t591;
     const double t593 = t362 * t592;
@@ -5092,7 +5276,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t596 = t595 - t587;
     const double t597 = t401 * t574;
     const double t598 = t596 - t597;
+    /* towards z */
     const double t599 = t596 * in->u[2];
+    /* towards S, z */
     const double t600 = t408 * t580;
     const double t601 = t598 - t600;
     const double t602 = t417 * t592;
@@ -5101,7 +5287,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t605 = t594 - t604;
     const double t606 = t455 * t574;
     const double t607 = t502 - t606;
+    /* towards z */
     const double t608 = t502 * in->u[1];
+    /* towards S, z */
     const double t609 = t465 * t580;
     const double t610 = t607 - t609;
     const double t611 = t473 * t592;
@@ -5110,6 +5298,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t614 = t612 - t613;
     const double t615 = t498 * t614;
     const double t616 = t605 - t615;
+    /* towards S */
     const double t617 = t514 * t616;
     const double t618 = t497 * t614;
     const double t619 = t498 * t617;
@@ -5155,19 +5344,24 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t659 = t657 + t658;
     const double t660 = t76 * t617;
     const double t661 = t659 + t660;
+    /* towards S, z */
     const double t662 = t3.sin * t59;
+    /* towards z */
     const double t663 = t59 * in->u[0];
     const double t664 = t505 - t663;
     const double t665 = t664 + t428;
     const double t666 = t665 + t369;
     const double t667 = t666 + t304;
+    /* towards S, z */
     const double t668 = t3.cos * t31;
     const double t669 = t662 + t668;
+    /* towards z */
     const double t670 = t31 * in->u[0];
     const double t671 = t670 + t608;
     const double t672 = t671 + t599;
     const double t673 = t672 - t590;
     const double t674 = t673 + t581;
+    /* towards S, z */
     const double t675 = t27 * t132;
     const double t676 = t27 * t42;
     const double t677 = t55 * t156;
@@ -5176,10 +5370,14 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t680 = t679 - t676;
     const double t681 = t455 * t678;
     const double t682 = t669 + t681;
+    /* towards z */
     const double t683 = t669 * in->u[1];
+    /* towards S, z */
     const double t684 = t293 * t678;
     const double t685 = t680 + t684;
+    /* towards z */
     const double t686 = t680 * in->u[4];
+    /* towards S, z */
     const double t687 = t465 * t685;
     const double t688 = t682 + t687;
     const double t689 = t18 * t57;
@@ -5190,17 +5388,21 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t694 = t690 - t693;
     const double t695 = t351 * t678;
     const double t696 = t692 - t695;
+    /* towards z */
     const double t697 = t692 * in->u[3];
+    /* towards S, z */
     const double t698 = t358 * t685;
     const double t699 = t696 - t698;
     const double t700 = t473 * t699;
     const double t701 = t688 + t700;
     const double t702 = t401 * t678;
     const double t703 = t694 - t702;
+    /* towards z */
     const double t704 = t694 * in->u[2];
     const double t705 = t704 - t683;
     const double t706 = t705 + t697;
     const double t707 = t706 + t686;
+    /* towards S, z */
     const double t708 = t408 * t685;
     const double t709 = t703 - t708;
     const double t710 = t417 * t699;
@@ -5216,6 +5418,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t720 = t421 * t711;
     const double t721 = t719 + t720;
     const double t722 = t714 - t721;
+    /* towards S */
     const double t723 = t514 * t722;
     const double t724 = t497 * t713;
     const double t725 = t498 * t723;
@@ -5261,6 +5464,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t765 = t764 + t757;
     const double t766 = t76 * t723;
     const double t767 = t765 - t766;
+    /* towards S, z */
     const double t768 = t195 + t200;
     const double t769 = t768 + t174;
     const double t770 = t769 - t195;
@@ -5327,7 +5531,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t831 = t498 * t830;
     const double t832 = t76 * t782;
     const double t833 = t172 + t832;
+    /* towards S */
     const double t834 = t782 * 1000.0;
+    /* towards S, z */
     const double t835 = t241 * t789;
     const double t836 = t833 + t835;
     const double t837 = t297 * t800;
@@ -5337,6 +5543,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t841 = t421 * t828;
     const double t842 = t840 + t841;
     const double t843 = t831 - t842;
+    /* towards S */
     const double t844 = t514 * t843;
     const double t845 = t497 * t830;
     const double t846 = t498 * t844;
@@ -5363,7 +5570,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t867 = t297 * t844;
     const double t868 = t866 - t867;
     const double t869 = 114.14289869087227 * t789;
+    /* towards z */
     const double t870 = t789 * 10.683768000610659;
+    /* towards S */
     const double t871 = t293 * t868;
     const double t872 = t869 + t871;
     const double t873 = t351 * t859;
@@ -5384,6 +5593,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t888 = t887 + t879;
     const double t889 = t76 * t844;
     const double t890 = t888 - t889;
+    /* towards S, z */
     const double t891 = t54 * t773;
     const double t892 = t26 * t193;
     const double t893 = t891 - t892;
@@ -5442,7 +5652,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t946 = t944 + t945;
     const double t947 = t567 * t895;
     const double t948 = t946 - t947;
+    /* towards S */
     const double t949 = 1000.0 * t895;
+    /* towards S, z */
     const double t950 = t455 * t902;
     const double t951 = t948 - t950;
     const double t952 = t465 * t913;
@@ -5453,6 +5665,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t957 = t955 - t956;
     const double t958 = t498 * t957;
     const double t959 = t943 + t958;
+    /* towards S */
     const double t960 = t514 * t959;
     const double t961 = t497 * t957;
     const double t962 = t498 * t960;
@@ -5479,7 +5692,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t983 = t297 * t960;
     const double t984 = t982 + t983;
     const double t985 = 114.14289869087227 * t902;
+    /* towards z */
     const double t986 = t902 * 10.683768000610659;
+    /* towards S */
     const double t987 = t293 * t984;
     const double t988 = t985 + t987;
     const double t989 = t351 * t975;
@@ -5500,13 +5715,18 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1004 = t567 * t963;
     const double t1005 = t1003 - t1004;
     const double t1006 = t1005 + t997;
+    /* towards S, z */
     const double t1007 = t76 * t774;
     const double t1008 = t26 * t177;
+    /* towards z */
     const double t1009 = t26 * in->u[6];
+    /* towards S, z */
     const double t1010 = t54 * t125;
     const double t1011 = t1008 + t1010;
     const double t1012 = t1007 - t1011;
+    /* towards z */
     const double t1013 = t54 * in->u[6];
+    /* towards S, z */
     const double t1014 = t76 * t1012;
     const double t1015 = t774 - t1014;
     const double t1016 = t156 * t177;
@@ -5525,33 +5745,47 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1029 = t1027 - t1028;
     const double t1030 = t293 * t1020;
     const double t1031 = t1029 + t1030;
+    /* towards S */
     const double t1032 = t296 * t1031;
+    /* towards S, z */
     const double t1033 = t297 * t1031;
     const double t1034 = t1022 - t1033;
     const double t1035 = t50 * t125;
+    /* towards z */
     const double t1036 = t50 * in->u[3];
+    /* towards S, z */
     const double t1037 = t18 * t177;
     const double t1038 = t1035 - t1037;
+    /* towards z */
     const double t1039 = t18 * in->u[3];
+    /* towards S, z */
     const double t1040 = t72 * t774;
     const double t1041 = t1038 - t1040;
+    /* towards z */
     const double t1042 = t72 * in->u[3];
+    /* towards S, z */
     const double t1043 = t552 * t1012;
     const double t1044 = t1041 + t1043;
     const double t1045 = t351 * t1020;
     const double t1046 = t1044 - t1045;
     const double t1047 = t358 * t1031;
     const double t1048 = t1046 - t1047;
+    /* towards S */
     const double t1049 = t361 * t1048;
+    /* towards S, z */
     const double t1050 = t362 * t1048;
     const double t1051 = t1034 - t1050;
     const double t1052 = t2.cos * t774;
     const double t1053 = t4 * t177;
+    /* towards z */
     const double t1054 = t4 * in->u[2];
+    /* towards S, z */
     const double t1055 = t34 * t125;
     const double t1056 = t1053 + t1055;
     const double t1057 = t1052 - t1056;
+    /* towards z */
     const double t1058 = t34 * in->u[2];
+    /* towards S, z */
     const double t1059 = t560 * t1012;
     const double t1060 = t1057 - t1059;
     const double t1061 = t401 * t1020;
@@ -5560,21 +5794,29 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1064 = t1062 - t1063;
     const double t1065 = t417 * t1048;
     const double t1066 = t1064 - t1065;
+    /* towards S */
     const double t1067 = t420 * t1066;
+    /* towards S, z */
     const double t1068 = t421 * t1066;
     const double t1069 = t1051 - t1068;
     const double t1070 = t3.sin * t177;
+    /* towards z */
     const double t1071 = t3.sin * in->u[1];
     const double t1072 = t1054 - t1071;
     const double t1073 = t1072 + t1039;
+    /* towards S, z */
     const double t1074 = t3.cos * t125;
     const double t1075 = t1070 - t1074;
+    /* towards z */
     const double t1076 = t3.cos * in->u[1];
     const double t1077 = t1076 + t1058;
     const double t1078 = t1077 - t1036;
+    /* towards S, z */
     const double t1079 = t567 * t1012;
     const double t1080 = t1075 - t1079;
+    /* towards S */
     const double t1081 = 1000.0 * t1012;
+    /* towards S, z */
     const double t1082 = t455 * t1020;
     const double t1083 = t1080 - t1082;
     const double t1084 = t465 * t1031;
@@ -5583,9 +5825,12 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1087 = t1085 - t1086;
     const double t1088 = t494 * t1066;
     const double t1089 = t1087 - t1088;
+    /* towards S */
     const double t1090 = t497 * t1089;
+    /* towards S, z */
     const double t1091 = t498 * t1089;
     const double t1092 = t1069 - t1091;
+    /* towards S */
     const double t1093 = t514 * t1092;
     const double t1094 = t498 * t1093;
     const double t1095 = t1090 - t1094;
@@ -5608,7 +5853,9 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1112 = t297 * t1093;
     const double t1113 = t1111 - t1112;
     const double t1114 = 114.14289869087227 * t1020;
+    /* towards z */
     const double t1115 = t1020 * 10.683768000610659;
+    /* towards S */
     const double t1116 = t293 * t1113;
     const double t1117 = t1114 + t1116;
     const double t1118 = t351 * t1105;
@@ -5629,6 +5876,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1133 = t1131 - t1132;
     const double t1134 = t76 * t1093;
     const double t1135 = t1133 - t1134;
+    /* towards z */
     const double t1136 = t245 * in->u[5];
     const double t1137 = t667 + t1136;
     const double t1138 = t1137 - in->r_dot[0];
@@ -6271,6 +6519,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     const double t1775 = t1763 + t1774;
     const double t1776 = (-t1771) - t1622;
     const double t1777 = (-t1775) - t1625;
+    /* towards pivots of Q */
     const double t1778 = t0.cos * 0.001;
     const double t1779 = t0.cos * t1778;
     const double t1780 = t256 + t1779;
@@ -6336,7 +6585,7 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     z[3] = t1747;
     z[4] = t1776;
     z[5] = t1777;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1780;
     mass_pivot[1] = t360;
@@ -6350,16 +6599,21 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
 }
 
 
-static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S_w, double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
+static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S_w,
+    double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_pair t0 = iiwa_pose_sincos(in->q[5]);
     const iiwa_pose_pair t1 = iiwa_pose_sincos(in->q[3]);
     const iiwa_pose_pair t2 = iiwa_pose_sincos(in->q[1]);
+    /* towards S_w, z */
     const iiwa_pose_pair t3 = iiwa_pose_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_pair t6 = iiwa_pose_sincos(in->q[2]);
+    /* towards S_w, z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -6369,7 +6623,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_pose_pair t16 = iiwa_pose_sincos(in->q[4]);
+    /* towards S_w, z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -6385,8 +6641,10 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t29 = t27 + t28;
     const double t30 = t4 * 0.42;
     const double t31 = t29 + t30;
+    /* towards z */
     const double t32 = t31 - in->r[0];
     const double t33 = t32 * 100.0;
+    /* towards S_w, z */
     const double t34 = t2.sin * t3.sin;
     const double t35 = t1.cos * t34;
     const double t36 = t2.cos * t3.sin;
@@ -6413,8 +6671,10 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t57 = t55 + t56;
     const double t58 = 0.42 * t34;
     const double t59 = t57 + t58;
+    /* towards z */
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -6424,20 +6684,25 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards S_w, z */
     const double t71 = t16.sin * t69;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards S_w, z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
     const double t80 = t2.cos * 0.42;
     const double t81 = t79 + t80;
+    /* towards z */
     const double t82 = t81 + 0.36;
     const double t83 = t82 - in->r[2];
     const double t84 = t83 * 100.0;
+    /* towards S_w, z */
     const iiwa_pose_pair t85 = iiwa_pose_sincos(in->q[6]);
     const double t86 = t0.sin * t65;
     const double t87 = t0.cos * t74;
@@ -6502,7 +6767,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t146 = t54 * t105;
     const double t147 = t145 + t146;
     const double t148 = 0.5 * t147;
+    /* towards z */
     const double t149 = t125 - t148;
+    /* towards S_w, z */
     const double t150 = t0.cos * t23;
     const double t151 = t13 * t0.sin;
     const double t152 = t150 + t151;
@@ -6531,7 +6798,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t175 = t76 * t143;
     const double t176 = t169 + t175;
     const double t177 = 0.5 * t176;
+    /* towards z */
     const double t178 = t172 - t177;
+    /* towards S_w, z */
     const double t179 = t134 * t114;
     const double t180 = t158 * t114;
     const double t181 = t104 * t158;
@@ -6554,7 +6823,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t198 = 0.5 * t197;
     const double t199 = t54 * t121;
     const double t200 = t190 + t199;
+    /* towards z */
     const double t201 = t193 - t198;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t202 = t0.cos * 0.012552;
     const double t203 = -0.008760948 - t202;
     const double t204 = t16.sin * t203;
@@ -6596,11 +6867,13 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t240 = t222 - t239;
     const double t241 = t238 * 114.14289869087227;
     const double t242 = t238 * t241;
+    /* towards S_w, z */
     const double t243 = t55 * t92;
     const double t244 = t77 * t132;
     const double t245 = t243 - t244;
     const double t246 = t241 * t245;
     const double t247 = t59 + t246;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t248 = t0.cos * 0.005460948;
     const double t249 = t0.cos * t248;
     const double t250 = 0.012552 + t248;
@@ -6652,14 +6925,18 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t296 = 1.0 / t295;
     const double t297 = t292 * t296;
     const double t298 = t292 * t297;
+    /* towards S_w, z */
     const double t299 = t42 * t77;
     const double t300 = t55 * t65;
     const double t301 = t299 - t300;
     const double t302 = t245 * t293;
     const double t303 = t301 + t302;
+    /* towards z */
     const double t304 = t301 * in->u[4];
+    /* towards S_w, z */
     const double t305 = t297 * t303;
     const double t306 = t247 + t305;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t307 = t254 - 0.006199988;
     const double t308 = t16.cos * t307;
     const double t309 = t225 + t225;
@@ -6717,16 +6994,20 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t361 = 1.0 / t360;
     const double t362 = t355 * t361;
     const double t363 = t355 * t362;
+    /* towards S_w, z */
     const double t364 = t57 * t72;
     const double t365 = t50 * t79;
     const double t366 = t364 - t365;
     const double t367 = t245 * t351;
     const double t368 = t366 - t367;
+    /* towards z */
     const double t369 = t366 * in->u[3];
+    /* towards S_w, z */
     const double t370 = t303 * t358;
     const double t371 = t368 - t370;
     const double t372 = t362 * t371;
     const double t373 = t306 + t372;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t374 = t317 - t341;
     const double t375 = t1.cos * t374;
     const double t376 = t375 - t267;
@@ -6776,18 +7057,22 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t420 = 1.0 / t419;
     const double t421 = t412 * t420;
     const double t422 = t412 * t421;
+    /* towards S_w, z */
     const double t423 = t34 * t79;
     const double t424 = t2.cos * t57;
     const double t425 = t423 - t424;
     const double t426 = t245 * t401;
     const double t427 = t425 - t426;
+    /* towards z */
     const double t428 = t425 * in->u[2];
+    /* towards S_w, z */
     const double t429 = t303 * t408;
     const double t430 = t427 - t429;
     const double t431 = t371 * t417;
     const double t432 = t430 - t431;
     const double t433 = t421 * t432;
     const double t434 = t373 + t433;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t435 = t381 - t318;
     const double t436 = t6.cos * t435;
     const double t437 = t6.sin * t325;
@@ -6854,11 +7139,14 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t498 = t479 * t497;
     const double t499 = t479 * t498;
     const double t500 = t496 - t499;
+    /* towards S_w, z */
     const double t501 = t3.cos * t81;
     const double t502 = t3.sin * t81;
     const double t503 = t245 * t455;
     const double t504 = t501 - t503;
+    /* towards z */
     const double t505 = t501 * in->u[1];
+    /* towards S_w, z */
     const double t506 = t303 * t460;
     const double t507 = t504 - t506;
     const double t508 = t371 * t467;
@@ -6867,6 +7155,7 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t511 = t509 - t510;
     const double t512 = t498 * t511;
     const double t513 = t434 + t512;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t514 = t0.sin * t16.sin;
     const double t515 = t0.sin * t16.cos;
     const double t516 = t1.sin * t515;
@@ -6878,6 +7167,7 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t522 = t6.sin * t521;
     const double t523 = t6.cos * t514;
     const double t524 = t522 + t523;
+    /* towards S_w, z */
     const double t525 = t77 * t156;
     const double t526 = t13 * t77;
     const double t527 = t27 * t92;
@@ -6888,7 +7178,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t532 = t531 - t526;
     const double t533 = t293 * t528;
     const double t534 = t532 + t533;
+    /* towards z */
     const double t535 = t532 * in->u[4];
+    /* towards S_w, z */
     const double t536 = t297 * t534;
     const double t537 = t530 - t536;
     const double t538 = t29 * t72;
@@ -6897,7 +7189,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t541 = t4 * t79;
     const double t542 = t351 * t528;
     const double t543 = t540 + t542;
+    /* towards z */
     const double t544 = t540 * in->u[3];
+    /* towards S_w, z */
     const double t545 = t358 * t534;
     const double t546 = t543 + t545;
     const double t547 = t362 * t546;
@@ -6906,7 +7200,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t550 = t549 - t541;
     const double t551 = t401 * t528;
     const double t552 = t550 - t551;
+    /* towards z */
     const double t553 = t550 * in->u[2];
+    /* towards S_w, z */
     const double t554 = t408 * t534;
     const double t555 = t552 - t554;
     const double t556 = t417 * t546;
@@ -6915,7 +7211,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t559 = t548 - t558;
     const double t560 = t455 * t528;
     const double t561 = t502 - t560;
+    /* towards z */
     const double t562 = t502 * in->u[1];
+    /* towards S_w, z */
     const double t563 = t460 * t534;
     const double t564 = t561 - t563;
     const double t565 = t467 * t546;
@@ -6925,18 +7223,22 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t569 = t498 * t568;
     const double t570 = t559 - t569;
     const double t571 = t3.sin * t59;
+    /* towards z */
     const double t572 = t59 * in->u[0];
     const double t573 = t505 - t572;
     const double t574 = t573 + t428;
     const double t575 = t574 + t369;
     const double t576 = t575 + t304;
+    /* towards S_w, z */
     const double t577 = t3.cos * t31;
     const double t578 = t571 + t577;
+    /* towards z */
     const double t579 = t31 * in->u[0];
     const double t580 = t579 + t562;
     const double t581 = t580 + t553;
     const double t582 = t581 - t544;
     const double t583 = t582 + t535;
+    /* towards S_w, z */
     const double t584 = t27 * t132;
     const double t585 = t27 * t42;
     const double t586 = t55 * t156;
@@ -6945,10 +7247,14 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t589 = t588 - t585;
     const double t590 = t455 * t587;
     const double t591 = t578 + t590;
+    /* towards z */
     const double t592 = t578 * in->u[1];
+    /* towards S_w, z */
     const double t593 = t293 * t587;
     const double t594 = t589 + t593;
+    /* towards z */
     const double t595 = t589 * in->u[4];
+    /* towards S_w, z */
     const double t596 = t460 * t594;
     const double t597 = t591 + t596;
     const double t598 = t18 * t57;
@@ -6959,17 +7265,21 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t603 = t599 - t602;
     const double t604 = t351 * t587;
     const double t605 = t601 - t604;
+    /* towards z */
     const double t606 = t601 * in->u[3];
+    /* towards S_w, z */
     const double t607 = t358 * t594;
     const double t608 = t605 - t607;
     const double t609 = t467 * t608;
     const double t610 = t597 + t609;
     const double t611 = t401 * t587;
     const double t612 = t603 - t611;
+    /* towards z */
     const double t613 = t603 * in->u[2];
     const double t614 = t613 - t592;
     const double t615 = t614 + t606;
     const double t616 = t615 + t595;
+    /* towards S_w, z */
     const double t617 = t408 * t594;
     const double t618 = t612 - t617;
     const double t619 = t417 * t608;
@@ -7051,7 +7361,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t695 = t498 * t694;
     const double t696 = t76 * t646;
     const double t697 = t172 + t696;
+    /* towards S_w */
     const double t698 = t646 * 31.622776601683796;
+    /* towards S_w, z */
     const double t699 = t241 * t653;
     const double t700 = t697 + t699;
     const double t701 = t653 * 10.683768000610659;
@@ -7120,7 +7432,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t764 = t762 + t763;
     const double t765 = t524 * t713;
     const double t766 = t764 - t765;
+    /* towards S_w */
     const double t767 = t713 * 31.622776601683796;
+    /* towards S_w, z */
     const double t768 = t455 * t720;
     const double t769 = t766 - t768;
     const double t770 = t720 * 10.683768000610659;
@@ -7134,11 +7448,15 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t778 = t761 + t777;
     const double t779 = t76 * t638;
     const double t780 = t26 * t177;
+    /* towards z */
     const double t781 = t26 * in->u[6];
+    /* towards S_w, z */
     const double t782 = t54 * t125;
     const double t783 = t780 + t782;
     const double t784 = t779 - t783;
+    /* towards z */
     const double t785 = t54 * in->u[6];
+    /* towards S_w, z */
     const double t786 = t76 * t784;
     const double t787 = t638 - t786;
     const double t788 = t156 * t177;
@@ -7160,13 +7478,19 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t804 = t297 * t803;
     const double t805 = t794 - t804;
     const double t806 = t50 * t125;
+    /* towards z */
     const double t807 = t50 * in->u[3];
+    /* towards S_w, z */
     const double t808 = t18 * t177;
     const double t809 = t806 - t808;
+    /* towards z */
     const double t810 = t18 * in->u[3];
+    /* towards S_w, z */
     const double t811 = t72 * t638;
     const double t812 = t809 - t811;
+    /* towards z */
     const double t813 = t72 * in->u[3];
+    /* towards S_w, z */
     const double t814 = t514 * t784;
     const double t815 = t812 + t814;
     const double t816 = t351 * t792;
@@ -7177,11 +7501,15 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t821 = t805 - t820;
     const double t822 = t2.cos * t638;
     const double t823 = t4 * t177;
+    /* towards z */
     const double t824 = t4 * in->u[2];
+    /* towards S_w, z */
     const double t825 = t34 * t125;
     const double t826 = t823 + t825;
     const double t827 = t822 - t826;
+    /* towards z */
     const double t828 = t34 * in->u[2];
+    /* towards S_w, z */
     const double t829 = t519 * t784;
     const double t830 = t827 - t829;
     const double t831 = t401 * t792;
@@ -7193,17 +7521,23 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t837 = t421 * t836;
     const double t838 = t821 - t837;
     const double t839 = t3.sin * t177;
+    /* towards z */
     const double t840 = t3.sin * in->u[1];
     const double t841 = t824 - t840;
     const double t842 = t841 + t810;
+    /* towards S_w, z */
     const double t843 = t3.cos * t125;
     const double t844 = t839 - t843;
+    /* towards z */
     const double t845 = t3.cos * in->u[1];
     const double t846 = t845 + t828;
     const double t847 = t846 - t807;
+    /* towards S_w, z */
     const double t848 = t524 * t784;
     const double t849 = t844 - t848;
+    /* towards S_w */
     const double t850 = t784 * 31.622776601683796;
+    /* towards S_w, z */
     const double t851 = t455 * t792;
     const double t852 = t849 - t851;
     const double t853 = t792 * 10.683768000610659;
@@ -7215,12 +7549,15 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t859 = t857 - t858;
     const double t860 = t498 * t859;
     const double t861 = t838 - t860;
+    /* towards z */
     const double t862 = t245 * in->u[5];
     const double t863 = t576 + t862;
     const double t864 = t863 - in->r_dot[0];
     const double t865 = t864 * 20.0;
     const double t866 = t865 + t33;
+    /* towards S_w, z */
     const double t867 = t245 * 10.683768000610659;
+    /* towards z, y_w */
     const double t868 = t6.cos * in->u[1];
     const double t869 = t2.sin * in->u[0];
     const double t870 = t6.sin * t869;
@@ -7301,7 +7638,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t945 = t901 - t944;
     const double t946 = 0.03498 * t944;
     const double t947 = t0.cos * t945;
+    /* towards z */
     const double t948 = t0.sin * t945;
+    /* towards z, y_w */
     const double t949 = t872 * t872;
     const double t950 = t881 * t881;
     const double t951 = t949 + t950;
@@ -7310,8 +7649,10 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t954 = 1.46375 * t951;
     const double t955 = t0.sin * t953;
     const double t956 = t947 + t955;
+    /* towards z */
     const double t957 = t0.cos * t953;
     const double t958 = t957 - t948;
+    /* towards z, y_w */
     const double t959 = t0.cos * t883;
     const double t960 = t0.sin * t887;
     const double t961 = t959 + t960;
@@ -7319,11 +7660,15 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t963 = t0.sin * t883;
     const double t964 = t962 - t963;
     const double t965 = t961 * t964;
+    /* towards z */
     const double t966 = 0.081 * t965;
     const double t967 = t956 + t966;
+    /* towards z, y_w */
     const double t968 = 0.03138 * t956;
+    /* towards z */
     const double t969 = t0.cos * t967;
     const double t970 = t0.sin * t967;
+    /* towards z, y_w */
     const double t971 = t961 * t961;
     const double t972 = t16.cos * t872;
     const double t973 = t16.sin * t881;
@@ -7331,14 +7676,18 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t975 = in->u[5] - t974;
     const double t976 = t975 * t975;
     const double t977 = t971 + t976;
+    /* towards z */
     const double t978 = 0.081 * t977;
     const double t979 = t958 - t978;
+    /* towards z, y_w */
     const double t980 = 0.03138 * t977;
+    /* towards z */
     const double t981 = t0.sin * t979;
     const double t982 = t969 - t981;
     const double t983 = t0.cos * t979;
     const double t984 = t970 + t983;
     const double t985 = t23 * t982;
+    /* towards z, y_w */
     const double t986 = t964 * t975;
     const double t987 = in->u[4] * t974;
     const double t988 = t16.cos * t895;
@@ -7347,7 +7696,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t991 = in->u[5] * t964;
     const double t992 = t990 + t991;
     const double t993 = t986 + t992;
+    /* towards z */
     const double t994 = 0.081 * t993;
+    /* towards z, y_w */
     const double t995 = t16.sin * t927;
     const double t996 = 1.46375 * t927;
     const double t997 = t16.cos * t938;
@@ -7360,24 +7711,31 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1004 = t0.sin * t989;
     const double t1005 = 0.4 * t1002;
     const double t1006 = t998 + t1005;
+    /* towards z */
     const double t1007 = t994 - t1006;
+    /* towards z, y_w */
     const double t1008 = 0.03138 * t1006;
     const double t1009 = 0.00017 * t998;
     const double t1010 = 4.4285e-05 * t1002;
+    /* towards z */
     const double t1011 = t156 * t1007;
     const double t1012 = t985 - t1011;
     const double t1013 = t13 * t984;
     const double t1014 = t1012 + t1013;
     const double t1015 = t1014 - in->r_ddot[0];
     const double t1016 = t866 + t1015;
+    /* towards S_w, z, y_w, recover */
     const double t1017 = iiwa_pose_sqrt(t485);
+    /* towards S_w, z, y_w */
     const double t1018 = 1.0 / t1017;
+    /* towards S_w, z */
     const double t1019 = t511 * t1018;
     const double t1020 = t568 * t1018;
     const double t1021 = t622 * t1018;
     const double t1022 = t694 * t1018;
     const double t1023 = t776 * t1018;
     const double t1024 = t859 * t1018;
+    /* towards z, y_w */
     const double t1025 = t869 * t878;
     const double t1026 = t878 * t878;
     const double t1027 = in->u[1] * t869;
@@ -7401,7 +7759,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1045 = 0.005460948 * t965;
     const double t1046 = t1042 - t1045;
     const double t1047 = t455 * t1046;
+    /* towards y_w, recover */
     const double t1048 = t455 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t1049 = t2.sin * 38.940795;
     const double t1050 = t1047 + t1049;
     const double t1051 = t1026 - t921;
@@ -7558,19 +7918,25 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1202 = t1166 - t1201;
     const double t1203 = t293 * t1046;
     const double t1204 = t1160 + t1203;
+    /* towards y_w, recover */
     const double t1205 = t293 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t1206 = t460 * t1204;
     const double t1207 = t1198 + t1206;
     const double t1208 = t351 * t1046;
     const double t1209 = t1208 - t1192;
+    /* towards y_w, recover */
     const double t1210 = t351 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t1211 = t358 * t1204;
     const double t1212 = t1209 + t1211;
     const double t1213 = t467 * t1212;
     const double t1214 = t1207 - t1213;
     const double t1215 = t401 * t1046;
     const double t1216 = t1215 - t1202;
+    /* towards y_w, recover */
     const double t1217 = t401 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t1218 = t408 * t1204;
     const double t1219 = t1216 + t1218;
     const double t1220 = t417 * t1212;
@@ -7580,19 +7946,27 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1224 = t1028 + t1223;
     const double t1225 = t1018 * t1224;
     const double t1226 = t498 * t1224;
+    /* towards y_w, recover */
     const double t1227 = t498 * t1017;
+    /* towards z */
     const double t1228 = t1019 * t1225;
+    /* towards S_w, z, y_w, recover */
     const double t1229 = iiwa_pose_sqrt(t500);
+    /* towards S_w, z, y_w */
     const double t1230 = 1.0 / t1229;
+    /* towards S_w, z */
     const double t1231 = t513 * t1230;
     const double t1232 = t570 * t1230;
     const double t1233 = t631 * t1230;
     const double t1234 = t708 * t1230;
     const double t1235 = t778 * t1230;
     const double t1236 = t861 * t1230;
+    /* towards z, y_w */
     const double t1237 = t241 * t1046;
     const double t1238 = t1046 * 10.683768000610659;
+    /* towards y_w, recover */
     const double t1239 = t241 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t1240 = t890 * 3.2133895;
     const double t1241 = t1240 + t1056;
     const double t1242 = t890 * 0.0001416;
@@ -7611,9 +7985,11 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1255 = t2.cos * t1254;
     const double t1256 = t1248 + t1255;
     const double t1257 = t1237 - t1256;
+    /* towards z */
     const double t1258 = t2.cos * in->u[2];
     const double t1259 = in->u[0] + t1258;
     const double t1260 = t1259 - t813;
+    /* towards z, y_w */
     const double t1261 = t297 * t1204;
     const double t1262 = t1257 + t1261;
     const double t1263 = t362 * t1212;
@@ -7622,48 +7998,70 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1266 = t1264 - t1265;
     const double t1267 = t1266 - t1226;
     const double t1268 = t1230 * t1267;
+    /* towards z */
     const double t1269 = t1231 * t1268;
     const double t1270 = t1228 - t1269;
+    /* towards S_w, z, y_w, recover */
     const double t1271 = iiwa_pose_sqrt(t419);
+    /* towards y_w, recover */
     const double t1272 = t421 * t1271;
     const double t1273 = t471 * t1271;
+    /* towards S_w, z, y_w */
     const double t1274 = 1.0 / t1271;
+    /* towards S_w, z */
     const double t1275 = t432 * t1274;
+    /* towards z, y_w */
     const double t1276 = t1221 * t1274;
+    /* towards S_w, z */
     const double t1277 = t557 * t1274;
     const double t1278 = t620 * t1274;
     const double t1279 = t692 * t1274;
     const double t1280 = t759 * t1274;
     const double t1281 = t836 * t1274;
+    /* towards z */
     const double t1282 = t1275 * t1276;
     const double t1283 = t1270 + t1282;
+    /* towards S_w, z, y_w, recover */
     const double t1284 = iiwa_pose_sqrt(t360);
+    /* towards y_w, recover */
     const double t1285 = t362 * t1284;
     const double t1286 = t467 * t1284;
     const double t1287 = t417 * t1284;
+    /* towards S_w, z, y_w */
     const double t1288 = 1.0 / t1284;
+    /* towards S_w, z */
     const double t1289 = t371 * t1288;
+    /* towards z, y_w */
     const double t1290 = t1212 * t1288;
+    /* towards S_w, z */
     const double t1291 = t546 * t1288;
     const double t1292 = t608 * t1288;
     const double t1293 = t677 * t1288;
     const double t1294 = t744 * t1288;
     const double t1295 = t819 * t1288;
+    /* towards z */
     const double t1296 = t1289 * t1290;
     const double t1297 = t1283 + t1296;
+    /* towards S_w, z, y_w, recover */
     const double t1298 = iiwa_pose_sqrt(t295);
+    /* towards y_w, recover */
     const double t1299 = t297 * t1298;
     const double t1300 = t460 * t1298;
     const double t1301 = t408 * t1298;
     const double t1302 = t358 * t1298;
+    /* towards S_w, z, y_w */
     const double t1303 = 1.0 / t1298;
+    /* towards S_w, z */
     const double t1304 = t303 * t1303;
+    /* towards z, y_w */
     const double t1305 = t1204 * t1303;
+    /* towards S_w, z */
     const double t1306 = t534 * t1303;
     const double t1307 = t594 * t1303;
     const double t1308 = t664 * t1303;
     const double t1309 = t731 * t1303;
     const double t1310 = t803 * t1303;
+    /* towards z */
     const double t1311 = t1304 * t1305;
     const double t1312 = t1297 - t1311;
     const double t1313 = t867 * t1238;
@@ -7674,7 +8072,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1318 = t1317 - in->r_dot[1];
     const double t1319 = 20.0 * t1318;
     const double t1320 = t1319 + t61;
+    /* towards S_w, z */
     const double t1321 = t528 * 10.683768000610659;
+    /* towards z */
     const double t1322 = t42 * t984;
     const double t1323 = t65 * t984;
     const double t1324 = t52 * t982;
@@ -7707,7 +8107,9 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1351 = 20.0 * t1350;
     const double t1352 = t1351 + t84;
     const double t1353 = t1352 + t1335;
+    /* towards S_w, z */
     const double t1354 = t587 * 10.683768000610659;
+    /* towards z */
     const double t1355 = t1268 * t1233;
     const double t1356 = t1225 * t1021;
     const double t1357 = t1355 - t1356;
@@ -7872,11 +8274,13 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1516 = t1238 * t853;
     const double t1517 = t1515 - t1516;
     const double t1518 = (-t1494) - t1517;
+    /* towards y_w, recover */
     const double t1519 = t76 * 0.03162277660168379;
     const double t1520 = t524 * 0.03162277660168379;
     const double t1521 = t519 * 0.03162277660168379;
     const double t1522 = t514 * 0.03162277660168379;
     const double t1523 = t0.cos * 0.03162277660168379;
+    /* towards y_w */
     const double t1524 = in->u[0] * 6.0;
     const double t1525 = in->q[0] - -0.1;
     const double t1526 = t1525 * 9.0;
@@ -7963,6 +8367,7 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     const double t1607 = t1038 + t1606;
     const double t1608 = 0.03162277660168379 * t1607;
     const double t1609 = t1594 - t1608;
+    /* towards pivots of Q */
     const double t1610 = t0.cos * 0.001;
     const double t1611 = t0.cos * t1610;
     const double t1612 = t256 + t1611;
@@ -8064,7 +8469,7 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     recover[24] = t1523;
     recover[25] = 0.09359993589741394;
     recover[26] = 0.03162277660168379;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t295;
     mass_scale[0] = t1612;
     mass_pivot[1] = t360;
@@ -8108,7 +8513,8 @@ int iiwa_pose_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double 
     double new_S[42];
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3) && iiwa_pose_finite(in->r_ddot, 3))) {
+    if (!(iiwa_pose_finite(in->u, 7) && iiwa_pose_finite(in->r, 3) && iiwa_pose_finite(in->r_dot, 3)
+            && iiwa_pose_finite(in->r_ddot, 3))) {
         return iiwa_pose_reason(IIWA_POSE_NONFINITE, in);
     }
     iiwa_pose_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -8189,9 +8595,12 @@ int iiwa_pose_control(const iiwa_pose_model *model, const iiwa_pose_input *in, d
         return iiwa_pose_failed(status, in, info);
     }
     /* tau = L^-T sigma */
-    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3] + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
-    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4] + recover[11] * sigma[5] + recover[12] * sigma[6];
-    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5] + recover[17] * sigma[6];
+    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3]
+        + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
+    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4]
+        + recover[11] * sigma[5] + recover[12] * sigma[6];
+    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5]
+        + recover[17] * sigma[6];
     unweighted[3] = recover[18] * sigma[3] + recover[19] * sigma[4] + recover[20] * sigma[5] + recover[21] * sigma[6];
     unweighted[4] = recover[22] * sigma[4] + recover[23] * sigma[5] + recover[24] * sigma[6];
     unweighted[5] = recover[25] * sigma[5];

@@ -11,22 +11,73 @@
 #error "build iiwa_position_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 3 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define IIWA_POSITION_F32_NOINLINE __attribute__((noinline))
+#define IIWA_POSITION_F32_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSITION_F32_NOINLINE
+#define IIWA_POSITION_F32_COLD
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define IIWA_POSITION_F32_FRACTION_BITS 23
+#define IIWA_POSITION_F32_EXPONENT_BIAS 127
+#define IIWA_POSITION_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define IIWA_POSITION_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define IIWA_POSITION_F32_NO_EXPONENT (-16384)
+#define IIWA_POSITION_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define IIWA_POSITION_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define IIWA_POSITION_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define IIWA_POSITION_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 3 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define IIWA_POSITION_F32_CONSISTENCY 0.00000667572f /* a row whose relative residual is at most this is met */
+#define IIWA_POSITION_F32_ROOT_L 2.6457512f /* sqrt(7): a row within its atol is no longer than this times atol */
+#define IIWA_POSITION_F32_RTOL 0.000000834465f /* singular values at or below this part of the largest count as zero */
+#define IIWA_POSITION_F32_SQUARE_LOW_0 88 /* exponents of row 0's square with which nothing needs scaling */
+#define IIWA_POSITION_F32_SQUARE_HIGH_0 167
+#define IIWA_POSITION_F32_SQUARE_LOW_1 88 /* exponents of row 1's square with which nothing needs scaling */
+#define IIWA_POSITION_F32_SQUARE_HIGH_1 167
+#define IIWA_POSITION_F32_SQUARE_LOW_2 87 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSITION_F32_SQUARE_HIGH_2 167
+#define IIWA_POSITION_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define IIWA_POSITION_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define IIWA_POSITION_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define IIWA_POSITION_F32_NORMAL_LIMIT 41285.094f
+#define IIWA_POSITION_F32_QR_LIMIT 50263390000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define IIWA_POSITION_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+/* eps^2: columns with less than this part of all squares are noise */
+#define IIWA_POSITION_F32_NEGLIGIBLE 1.4210855e-14f
+#define IIWA_POSITION_F32_ORTHOGONAL 2.4868994e-14f /* columns whose squared cosine is at most this are not rotated */
+#define IIWA_POSITION_F32_CONVERGED 4.2987836e-13f /* a sweep that met no larger squared cosine was the last */
+#define IIWA_POSITION_F32_SWEEP_CAP 7 /* sweeps of Jacobi's method at most: two more than were ever seen */
+/* the triangle is made this much larger, so that squares of squares stay in range */
+#define IIWA_POSITION_F32_LIFT 1048576.0f
+#define IIWA_POSITION_F32_LOWER 9.536743e-7f /* and its singular values this much smaller again */
+
+typedef union iiwa_position_f32_word {
     float value;
     uint32_t bits;
 } iiwa_position_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t iiwa_position_f32_magnitude(float x)
 {
     iiwa_position_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & IIWA_POSITION_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t iiwa_position_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +116,18 @@ static float iiwa_position_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= IIWA_POSITION_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < IIWA_POSITION_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -IIWA_POSITION_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> IIWA_POSITION_F32_FRACTION_BITS) - IIWA_POSITION_F32_EXPONENT_BIAS;
+    rest = (word.bits & (IIWA_POSITION_F32_SMALLEST_NORMAL - 1u)) | IIWA_POSITION_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = IIWA_POSITION_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +135,8 @@ static float iiwa_position_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + IIWA_POSITION_F32_EXPONENT_BIAS - 1) << IIWA_POSITION_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +156,13 @@ static int iiwa_position_f32_reduce_far(float x, float *hi, float *lo)
     float a, b, c, rest, top, product_hi, product_lo;
     iiwa_position_f32_word word;
     const uint32_t magnitude = iiwa_position_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> IIWA_POSITION_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(IIWA_POSITION_F32_EXPONENT_BIAS
+        + IIWA_POSITION_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= IIWA_POSITION_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +205,8 @@ static int iiwa_position_f32_reduce_far(float x, float *hi, float *lo)
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int iiwa_position_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = iiwa_position_f32_magnitude(x);
@@ -199,7 +253,7 @@ static float iiwa_position_f32_cos_near(float hi, float lo)
     return w + (((1.0f - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct iiwa_position_f32_pair {
     float sin, cos;
 } iiwa_position_f32_pair;
 
@@ -226,59 +280,56 @@ static iiwa_position_f32_pair iiwa_position_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define IIWA_POSITION_F32_APART __attribute__((noinline))
-#else
-#define IIWA_POSITION_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from IIWA_POSITION_F32_EXPONENT_MIN to IIWA_POSITION_F32_EXPONENT_MAX, by writing its exponent. */
 static float iiwa_position_f32_power(int k)
 {
     iiwa_position_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + IIWA_POSITION_F32_EXPONENT_BIAS) << IIWA_POSITION_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float iiwa_position_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= IIWA_POSITION_F32_EXPONENT_MIN && k <= IIWA_POSITION_F32_EXPONENT_MAX) {
         return x * iiwa_position_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= iiwa_position_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > IIWA_POSITION_F32_EXPONENT_MAX; ++step) {
+        x *= iiwa_position_f32_power(IIWA_POSITION_F32_EXPONENT_MAX);
+        k -= IIWA_POSITION_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= iiwa_position_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < IIWA_POSITION_F32_EXPONENT_MIN; ++step) {
+        x *= iiwa_position_f32_power(IIWA_POSITION_F32_EXPONENT_MIN + IIWA_POSITION_F32_FRACTION_BITS + 1);
+        k -= IIWA_POSITION_F32_EXPONENT_MIN + IIWA_POSITION_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > IIWA_POSITION_F32_EXPONENT_MAX) {
+        k = IIWA_POSITION_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < IIWA_POSITION_F32_EXPONENT_MIN) {
+        k = IIWA_POSITION_F32_EXPONENT_MIN;
     }
     return x * iiwa_position_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; IIWA_POSITION_F32_NO_EXPONENT for
+   zero. */
 static int iiwa_position_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return IIWA_POSITION_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < IIWA_POSITION_F32_SMALLEST_NORMAL) {
         iiwa_position_f32_word word;
         word.bits = magnitude;
-        magnitude = iiwa_position_f32_magnitude(word.value * iiwa_position_f32_power(32));
-        lift = 32;
+        magnitude = iiwa_position_f32_magnitude(word.value
+            * iiwa_position_f32_power(IIWA_POSITION_F32_SUBNORMAL_LIFT));
+        lift = IIWA_POSITION_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> IIWA_POSITION_F32_FRACTION_BITS) - IIWA_POSITION_F32_EXPONENT_BIAS - lift;
 }
 
 static float iiwa_position_f32_abs(float x)
@@ -286,92 +337,95 @@ static float iiwa_position_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t iiwa_position_f32_biased(float x)
 {
     iiwa_position_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (IIWA_POSITION_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t iiwa_position_f32_biased_square(float square)
 {
     iiwa_position_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> IIWA_POSITION_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int iiwa_position_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define IIWA_POSITION_F32_NEAR
-#define IIWA_POSITION_F32_WRITTEN_OUT
+#define IIWA_POSITION_F32_INLINE_WITH_VECTORS
+#define IIWA_POSITION_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define IIWA_POSITION_F32_NEAR inline __attribute__((always_inline))
-#define IIWA_POSITION_F32_WRITTEN_OUT
+#define IIWA_POSITION_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define IIWA_POSITION_F32_UNROLL
 #elif defined(__clang__)
-#define IIWA_POSITION_F32_NEAR
-#define IIWA_POSITION_F32_WRITTEN_OUT /* it does so by itself */
+#define IIWA_POSITION_F32_INLINE_WITH_VECTORS
+#define IIWA_POSITION_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define IIWA_POSITION_F32_NEAR
-#define IIWA_POSITION_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define IIWA_POSITION_F32_INLINE_WITH_VECTORS
+#define IIWA_POSITION_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
 static const float iiwa_position_f32_last[4] = { 0.0f, 1.0f, 1.0f, 1.0f };
 
 /* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 made zero.
-   Blocks are loaded and stored whole: a number stored alone would stall the vector that is read over it. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_spread(const float *restrict v, float factor, float *restrict w)
+   Blocks are loaded and stored whole: a vector that is read where a single number was just stored has to wait for
+   it. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS void iiwa_position_f32_spread(const float *restrict v, float factor,
+    float *restrict w)
 {
     int k;
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_position_f32_last[k] * v[3 + k]);
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS void iiwa_position_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
 }
 
-/* a b, in four sums that a machine with vectors and one without add up alike. */
-static IIWA_POSITION_F32_NEAR float iiwa_position_f32_inner(const float *a, const float *b)
+/* The inner product in four sums, which a machine with vectors and one without add up in the same order: same bits. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS float iiwa_position_f32_inner(const float *a, const float *b)
 {
     float sum[4];
     int k;
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-typedef struct {
+typedef struct iiwa_position_f32_normal {
     float lower[3]; /* L below its unit diagonal, row by row */
     float inverse[3]; /* 1 / D */
 } iiwa_position_f32_normal;
@@ -379,8 +433,8 @@ typedef struct {
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1e-05, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1e-05, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_normal *f)
 {
     const float g_0_0 = iiwa_position_f32_inner(B, B);
@@ -395,11 +449,16 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     float v_1_0, l_1_0, n_1_0;
     float v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     float bound;
-    if (!iiwa_position_f32_within(iiwa_position_f32_biased_square(g_0_0), 88, 167) || !iiwa_position_f32_within(iiwa_position_f32_biased_square(g_1_1), 88, 167) || !iiwa_position_f32_within(iiwa_position_f32_biased_square(g_2_2), 87, 167)) {
+    if (!iiwa_position_f32_within(iiwa_position_f32_biased_square(g_0_0), IIWA_POSITION_F32_SQUARE_LOW_0,
+            IIWA_POSITION_F32_SQUARE_HIGH_0)
+            || !iiwa_position_f32_within(iiwa_position_f32_biased_square(g_1_1), IIWA_POSITION_F32_SQUARE_LOW_1,
+            IIWA_POSITION_F32_SQUARE_HIGH_1)
+            || !iiwa_position_f32_within(iiwa_position_f32_biased_square(g_2_2), IIWA_POSITION_F32_SQUARE_LOW_2,
+            IIWA_POSITION_F32_SQUARE_HIGH_2)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > IIWA_POSITION_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
@@ -408,14 +467,14 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     v_2_0 = g_2_0;
     l_2_0 = v_2_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > IIWA_POSITION_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 0.000024221818f * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > IIWA_POSITION_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0f / d_2;
@@ -425,7 +484,7 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= IIWA_POSITION_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -452,15 +511,16 @@ static void iiwa_position_f32_normal_solve(const iiwa_position_f32_normal *f, co
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct iiwa_position_f32_line {
     float p[8];
     float l[3];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } iiwa_position_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct iiwa_position_f32_qr {
     iiwa_position_f32_line line[3];
     iiwa_position_f32_line *at[3];
     float left[3];    /* squared length of at[k]->p */
@@ -471,7 +531,8 @@ typedef struct {
 } iiwa_position_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static IIWA_POSITION_F32_NEAR float iiwa_position_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS float iiwa_position_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -508,7 +569,7 @@ static void iiwa_position_f32_qr_reduce(iiwa_position_f32_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= IIWA_POSITION_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -541,8 +602,8 @@ static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
     iiwa_position_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -561,7 +622,7 @@ static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
-    return bound * total < 50263390000.0f;
+    return bound * total < IIWA_POSITION_F32_QR_LIMIT;
 }
 
 static float iiwa_position_f32_short(const float *a, const float *b)
@@ -581,9 +642,10 @@ static void iiwa_position_f32_rotate(float *restrict a, float *restrict b, float
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
-   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+/* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 7 did not do. */
 static int iiwa_position_f32_jacobi(float *t, int count, float *square)
 {
@@ -593,8 +655,8 @@ static int iiwa_position_f32_jacobi(float *t, int count, float *square)
         square[i] = iiwa_position_f32_short(t + 3 * i, t + 3 * i);
         least += square[i];
     }
-    least *= 1.4210855e-14f;
-    for (sweep = 1; sweep <= 7; ++sweep) {
+    least *= IIWA_POSITION_F32_NEGLIGIBLE;
+    for (sweep = 1; sweep <= IIWA_POSITION_F32_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             float *const a = t + 3 * i;
@@ -619,20 +681,21 @@ static int iiwa_position_f32_jacobi(float *t, int count, float *square)
                 const float product = square[i] * square[j];
                 const float gap = square[i] - square[j];
                 float h, c, s;
-                if (inner * inner <= 2.4868994e-14f * product) {
+                if (inner * inner <= IIWA_POSITION_F32_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 4.2987836e-13f * product) { /* more than rounding can bring back */
+                if (inner * inner > IIWA_POSITION_F32_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = iiwa_position_f32_sqrt(gap * gap + 4.0f * inner * inner);
                 c = iiwa_position_f32_sqrt(0.5f + 0.5f * (iiwa_position_f32_abs(gap) / h));
                 s = gap < 0.0f ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0f + c));
                 s /= h;
@@ -648,8 +711,8 @@ static int iiwa_position_f32_jacobi(float *t, int count, float *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int iiwa_position_f32_svd(const iiwa_position_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -658,7 +721,7 @@ static int iiwa_position_f32_svd(const iiwa_position_f32_qr *f, float *left, flo
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * iiwa_position_f32_sqrt(f->left[k]);
+        const float length = IIWA_POSITION_F32_LIFT * iiwa_position_f32_sqrt(f->left[k]);
         for (i = k; i < 3; ++i) {
             left[3 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
@@ -670,7 +733,7 @@ static int iiwa_position_f32_svd(const iiwa_position_f32_qr *f, float *left, flo
     for (k = 0; k < f->steps; ++k) {
         const float length = iiwa_position_f32_sqrt(sigma[k]);
         const float inverse = length > 0.0f ? 1.0f / length : 0.0f;
-        sigma[k] = 9.536743e-7f * length;
+        sigma[k] = IIWA_POSITION_F32_LOWER * length;
         for (i = 0; i < 3; ++i) {
             left[3 * k + i] *= inverse;
         }
@@ -678,9 +741,9 @@ static int iiwa_position_f32_svd(const iiwa_position_f32_qr *f, float *left, flo
     return sweeps;
 }
 
-typedef struct {
+typedef struct iiwa_position_f32_factors {
     float B[24];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[3];   /* -16384 where a row counts as zero */
+    int exponent[3];   /* IIWA_POSITION_F32_NO_EXPONENT where a row counts as zero */
     iiwa_position_f32_normal normal;
     iiwa_position_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -702,9 +765,10 @@ static const float iiwa_position_f32_atol[3] = {
     0.0f
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void iiwa_position_f32_undo_scaling(iiwa_position_f32_factors *f, int top)
 {
     float F[9]; /* column k in F + 3 k; reflections below the diagonal, R above */
@@ -722,7 +786,7 @@ static void iiwa_position_f32_undo_scaling(iiwa_position_f32_factors *f, int top
         column[k] = k;
         for (i = 0; i < 3; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[3 * k + i] = exponent == -16384 ? 0.0f :
+            F[3 * k + i] = exponent == IIWA_POSITION_F32_NO_EXPONENT ? 0.0f :
                 iiwa_position_f32_shift(f->left[3 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -799,18 +863,19 @@ static void iiwa_position_f32_undo_scaling(iiwa_position_f32_factors *f, int top
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is IIWA_POSITION_F32_NO_EXPONENT. */
 static void iiwa_position_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 3; ++i) {
         const float *const row = S + 7 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -IIWA_POSITION_F32_EXPONENT_MAX && exponent[i] <= -IIWA_POSITION_F32_EXPONENT_MIN) {
             iiwa_position_f32_spread(row, iiwa_position_f32_power(-exponent[i]), B + 8 * i);
         } else {
             float shifted[7];
             for (j = 0; j < 7; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : iiwa_position_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == IIWA_POSITION_F32_NO_EXPONENT
+                    ? 0.0f : iiwa_position_f32_shift(row[j], -exponent[i]);
             }
             iiwa_position_f32_spread(shifted, 1.0f, B + 8 * i);
         }
@@ -827,7 +892,8 @@ static int iiwa_position_f32_length(const float *row, int exponent)
         shifted[j] = iiwa_position_f32_shift(row[j], -exponent);
     }
     iiwa_position_f32_spread(shifted, 1.0f, padded);
-    return exponent + iiwa_position_f32_exponent(iiwa_position_f32_magnitude(iiwa_position_f32_inner(padded, padded))) / 2;
+    return exponent + iiwa_position_f32_exponent(
+        iiwa_position_f32_magnitude(iiwa_position_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -873,8 +939,10 @@ static void iiwa_position_f32_vectors(iiwa_position_f32_factors *f, const float 
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise_svd(const float *S, iiwa_position_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_factorise_svd(const float *S, iiwa_position_f32_factors *f,
+    int top, int bottom)
 {
     float u[9];
     int i;
@@ -884,7 +952,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise_svd(const float *
     }
     f->rank = 0;
     for (i = 0; i < 3; ++i) {
-        f->rank += f->sigma[i] > 0.000000834465f * f->sigma[0];
+        f->rank += f->sigma[i] > IIWA_POSITION_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 3;
     if (!f->direct) {
@@ -892,7 +960,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise_svd(const float *
         if (f->rank > 0 && bottom != top) {
             iiwa_position_f32_undo_scaling(f, top);
             for (i = 0; i < 3; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == IIWA_POSITION_F32_NO_EXPONENT ? IIWA_POSITION_F32_NO_EXPONENT : top;
             }
             iiwa_position_f32_scale(S, f->exponent, f->B);
         }
@@ -901,19 +969,20 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise_svd(const float *
 }
 
 /* The ladder, from the step `from` on. */
-static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, iiwa_position_f32_factors *f, int from)
+static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_factorise(const float *S, iiwa_position_f32_factors *f,
+    int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = IIWA_POSITION_F32_NO_EXPONENT;
+    int bottom = -IIWA_POSITION_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 3; ++i) {
         iiwa_position_f32_word word;
         word.bits = iiwa_position_f32_largest(S + 7 * i, 7);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= IIWA_POSITION_F32_INFINITY_BITS) {
             return IIWA_POSITION_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = IIWA_POSITION_F32_NO_EXPONENT;
         if (word.value > iiwa_position_f32_atol[i]) {
             f->exponent[i] = iiwa_position_f32_length(S + 7 * i, iiwa_position_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -946,7 +1015,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_factorise(const float *S, i
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static IIWA_POSITION_F32_APART float iiwa_position_f32_sigma_min(const float *S, iiwa_position_f32_factors *f)
+static IIWA_POSITION_F32_NOINLINE float iiwa_position_f32_sigma_min(const float *S, iiwa_position_f32_factors *f)
 {
     const uint32_t magnitude = iiwa_position_f32_largest(S, 21);
     const int top = magnitude == 0 ? 0 : iiwa_position_f32_exponent(magnitude);
@@ -963,12 +1032,12 @@ static IIWA_POSITION_F32_APART float iiwa_position_f32_sigma_min(const float *S,
     return iiwa_position_f32_shift(f->sigma[2], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int iiwa_position_f32_refuse(int status, iiwa_position_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = IIWA_POSITION_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -977,17 +1046,19 @@ static int iiwa_position_f32_refuse(int status, iiwa_position_f32_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 6.68e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= IIWA_POSITION_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int iiwa_position_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int iiwa_position_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = iiwa_position_f32_exponent(iiwa_position_f32_largest(tau, 7));
     float t[7], rest[3];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[3];
-    int top = -16384;
+    int top = IIWA_POSITION_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -995,9 +1066,9 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 7; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : iiwa_position_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == IIWA_POSITION_F32_NO_EXPONENT ? 0.0f : iiwa_position_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != IIWA_POSITION_F32_NO_EXPONENT) {
             const float yj = iiwa_position_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1007,17 +1078,18 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
         const float *const row = S + 7 * i;
         const int row_unit = iiwa_position_f32_exponent(iiwa_position_f32_largest(row, 7));
         const int z_unit = iiwa_position_f32_exponent(iiwa_position_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == IIWA_POSITION_F32_NO_EXPONENT || tau_unit == IIWA_POSITION_F32_NO_EXPONENT
+            ? IIWA_POSITION_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == IIWA_POSITION_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != IIWA_POSITION_F32_NO_EXPONENT) {
             for (j = 0; j < 7; ++j) {
                 const float s = iiwa_position_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1027,27 +1099,31 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
         }
         target = iiwa_position_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 0.00000667572f * (scale * iiwa_position_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += iiwa_position_f32_shift(iiwa_position_f32_atol[i], tau_unit - unit[i]) * norm * 2.6457512f;
+        allowed = IIWA_POSITION_F32_CONSISTENCY
+            * (scale * iiwa_position_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != IIWA_POSITION_F32_NO_EXPONENT) {
+            allowed += iiwa_position_f32_shift(iiwa_position_f32_atol[i], tau_unit - unit[i]) * norm
+                * IIWA_POSITION_F32_ROOT_L;
         }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 3; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != IIWA_POSITION_F32_NO_EXPONENT) {
             rest[i] = iiwa_position_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : iiwa_position_f32_shift(iiwa_position_f32_sqrt(norm), top);
+    *residual = top == IIWA_POSITION_F32_NO_EXPONENT
+        ? 0.0f : iiwa_position_f32_shift(iiwa_position_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void iiwa_position_f32_qr_apply(const iiwa_position_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void iiwa_position_f32_qr_apply(const iiwa_position_f32_qr *f, const float *restrict r, float *restrict x,
+    int careful)
 {
     const iiwa_position_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -1069,19 +1145,21 @@ static void iiwa_position_f32_qr_apply(const iiwa_position_f32_qr *f, const floa
 }
 
 /* x = S+ r from the normal equations. */
-static void iiwa_position_f32_normal_apply(const iiwa_position_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void iiwa_position_f32_normal_apply(const iiwa_position_f32_normal *f, const float *B, const float *restrict r,
+    float *restrict x)
 {
     float w[3];
     int j;
     iiwa_position_f32_normal_solve(f, r, w);
-    IIWA_POSITION_F32_WRITTEN_OUT
+    IIWA_POSITION_F32_UNROLL
     for (j = 0; j < 8; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16];
     }
 }
 
 /* r = z - B t. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS void iiwa_position_f32_residual(const float *B, const float *z,
+    const float *t, float *restrict r)
 {
     r[0] = z[0] - iiwa_position_f32_inner(B, t);
     r[1] = z[1] - iiwa_position_f32_inner(B + 8, t);
@@ -1116,14 +1194,16 @@ static void iiwa_position_f32_apply(const iiwa_position_f32_factors *f, const fl
     }
 }
 
-static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info, int from)
+static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_solve_scaled(const float *S, const float *z, const float *y,
+    float *tau, iiwa_position_f32_info *info, int from)
 {
     iiwa_position_f32_factors f;
     float zs[3], ys[8], r[3], x[8], answer[7];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = IIWA_POSITION_F32_NO_EXPONENT;
     int status, i, j;
-    if (iiwa_position_f32_largest(z, 3) >= UINT32_C(0x7f800000) || (y != NULL && iiwa_position_f32_largest(y, 7) >= UINT32_C(0x7f800000))) {
+    if (iiwa_position_f32_largest(z, 3) >= IIWA_POSITION_F32_INFINITY_BITS
+            || (y != NULL && iiwa_position_f32_largest(y, 7) >= IIWA_POSITION_F32_INFINITY_BITS)) {
         return iiwa_position_f32_refuse(IIWA_POSITION_F32_NONFINITE, info);
     }
     status = iiwa_position_f32_factorise(S, &f, from);
@@ -1136,18 +1216,20 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S
     }
     for (i = 0; i < 3; ++i) {
         const int own = iiwa_position_f32_exponent(iiwa_position_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != IIWA_POSITION_F32_NO_EXPONENT && own != IIWA_POSITION_F32_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == IIWA_POSITION_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (j = 0; j < 8; ++j) {
         ys[j] = 0.0f;
     }
     for (i = 0; i < 3; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : iiwa_position_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == IIWA_POSITION_F32_NO_EXPONENT
+            ? 0.0f : iiwa_position_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 7; ++j) {
         ys[(j < 4 ? j : j + 1)] = y == NULL ? 0.0f : iiwa_position_f32_shift(y[j], -unit);
@@ -1169,7 +1251,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S
             answer[j] += iiwa_position_f32_shift(x[(j < 4 ? j : j + 1)], unit);
         }
     }
-    if (iiwa_position_f32_largest(answer, 7) >= UINT32_C(0x7f800000)) {
+    if (iiwa_position_f32_largest(answer, 7) >= IIWA_POSITION_F32_INFINITY_BITS) {
         return iiwa_position_f32_refuse(IIWA_POSITION_F32_OVERFLOW, info);
     }
     if (f.rank < 3 || info != NULL) {
@@ -1192,7 +1274,8 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_scaled(const float *S
     return status;
 }
 
-static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_NOINLINE void iiwa_position_f32_report(const float *S, const float *z, const float *y,
+    const float *tau, int path, iiwa_position_f32_info *info)
 {
     iiwa_position_f32_factors f;
     (void)iiwa_position_f32_consistent(S, z, y, tau, &info->residual);
@@ -1205,7 +1288,8 @@ static IIWA_POSITION_F32_APART void iiwa_position_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_F32_NEAR void iiwa_position_f32_correct(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS void iiwa_position_f32_correct(const iiwa_position_f32_normal *normal,
+    const iiwa_position_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_f32_qr_apply(qr, r, x, careful);
@@ -1215,7 +1299,8 @@ static IIWA_POSITION_F32_NEAR void iiwa_position_f32_correct(const iiwa_position
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f32_normal *normal, const iiwa_position_f32_qr *qr, const float *S, const float *B,
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS int iiwa_position_f32_answer(const iiwa_position_f32_normal *normal,
+    const iiwa_position_f32_qr *qr, const float *S, const float *B,
     const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
 {
     float r[3], x[8], step[8];
@@ -1240,13 +1325,15 @@ static IIWA_POSITION_F32_NEAR int iiwa_position_f32_answer(const iiwa_position_f
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_position_f32_within(iiwa_position_f32_biased_square(iiwa_position_f32_inner(x, x)), 27, 237)) {
+    if (!iiwa_position_f32_within(iiwa_position_f32_biased_square(iiwa_position_f32_inner(x, x)),
+            IIWA_POSITION_F32_ANSWER_LOW, IIWA_POSITION_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         float answer[7];
         iiwa_position_f32_gather(x, answer);
-        iiwa_position_f32_report(S, z, y, answer, qr != NULL ? IIWA_POSITION_F32_PATH_QR : IIWA_POSITION_F32_PATH_NORMAL, info);
+        iiwa_position_f32_report(S, z, y, answer,
+            qr != NULL ? IIWA_POSITION_F32_PATH_QR : IIWA_POSITION_F32_PATH_NORMAL, info);
     }
     iiwa_position_f32_gather(x, tau);
     return 1;
@@ -1259,10 +1346,10 @@ static int iiwa_position_f32_qr_scaled(const float *B, iiwa_position_f32_qr *f)
     int i, j;
     for (i = 0; i < 3; ++i) {
         f->left[i] = iiwa_position_f32_inner(B + 8 * i, B + 8 * i);
-        exponent[i] = (iiwa_position_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        exponent[i] = (iiwa_position_f32_biased(f->left[i]) + IIWA_POSITION_F32_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 3; ++i) {
-        const float unit = iiwa_position_f32_power(127 - (int)exponent[i]);
+        const float unit = iiwa_position_f32_power(IIWA_POSITION_F32_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 8; ++j) {
             f->line[i].p[j] = unit * B[8 * i + j];
         }
@@ -1274,7 +1361,8 @@ static int iiwa_position_f32_qr_scaled(const float *B, iiwa_position_f32_qr *f)
     return iiwa_position_f32_qr_certified(f);
 }
 
-static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_solve_qr(const float *S, const float *z, const float *y,
+    float *tau, iiwa_position_f32_info *info)
 {
     iiwa_position_f32_qr f;
     float B[24];
@@ -1288,7 +1376,8 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_solve_qr(const float *S, co
     return iiwa_position_f32_solve_scaled(S, z, y, tau, info, IIWA_POSITION_F32_PATH_QR);
 }
 
-static int iiwa_position_f32_solve_core(const float *S, const float *z, const float *y, float *tau, iiwa_position_f32_info *info)
+static int iiwa_position_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    iiwa_position_f32_info *info)
 {
     iiwa_position_f32_normal f;
     int held;
@@ -1308,7 +1397,8 @@ static int iiwa_position_f32_solve_core(const float *S, const float *z, const fl
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static IIWA_POSITION_F32_APART int iiwa_position_f32_pinv_core(const float *S, float *S_pinv, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_pinv_core(const float *S, float *S_pinv,
+    iiwa_position_f32_info *info)
 {
     iiwa_position_f32_factors f;
     float unit[3], x[8], answer[21];
@@ -1321,7 +1411,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_pinv_core(const float *S, f
         unit[i] = 0.0f;
     }
     for (i = 0; i < 3; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == IIWA_POSITION_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         iiwa_position_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1329,7 +1419,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_pinv_core(const float *S, f
             answer[3 * j + i] = zero_row ? 0.0f : iiwa_position_f32_shift(x[(j < 4 ? j : j + 1)], -f.exponent[i]);
         }
     }
-    if (iiwa_position_f32_largest(answer, 21) >= UINT32_C(0x7f800000)) {
+    if (iiwa_position_f32_largest(answer, 21) >= IIWA_POSITION_F32_INFINITY_BITS) {
         return iiwa_position_f32_refuse(IIWA_POSITION_F32_OVERFLOW, info);
     }
     status = f.rank < 3 ? IIWA_POSITION_F32_RANK_DEFICIENT_CONSISTENT : IIWA_POSITION_F32_OK;
@@ -1347,7 +1437,7 @@ static IIWA_POSITION_F32_APART int iiwa_position_f32_pinv_core(const float *S, f
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void iiwa_position_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1358,10 +1448,11 @@ static void iiwa_position_f32_copy(const float *from, float *to, int n)
 
 static int iiwa_position_f32_finite(const float *x, int n)
 {
-    return iiwa_position_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return iiwa_position_f32_largest(x, n) < IIWA_POSITION_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* IIWA_POSITION_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in
+   the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int iiwa_position_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1376,7 +1467,7 @@ static int iiwa_position_f32_mass_status(const float *pivot, const float *scale,
     return IIWA_POSITION_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int iiwa_position_f32_input_finite(const iiwa_position_f32_input *in)
 {
     return iiwa_position_f32_finite(in->q, 7)
@@ -1386,17 +1477,8 @@ static int iiwa_position_f32_input_finite(const iiwa_position_f32_input *in)
            && iiwa_position_f32_finite(in->r_ddot, 3);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define IIWA_POSITION_F32_COLD __attribute__((noinline, cold))
-#define IIWA_POSITION_F32_SMALL inline __attribute__((always_inline))
-#else
-#define IIWA_POSITION_F32_COLD
-#define IIWA_POSITION_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static IIWA_POSITION_F32_COLD int iiwa_position_f32_reason(int status, const iiwa_position_f32_input *in)
 {
     if (!iiwa_position_f32_input_finite(in)) {
@@ -1405,9 +1487,11 @@ static IIWA_POSITION_F32_COLD int iiwa_position_f32_reason(int status, const iiw
     return status == IIWA_POSITION_F32_NONFINITE ? IIWA_POSITION_F32_OVERFLOW : status;
 }
 
-static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
+static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in,
+    float *psi)
 {
     (void)model;
+    /* towards psi */
     const iiwa_position_f32_pair t0 = iiwa_position_f32_sincos(in->q[5]);
     const iiwa_position_f32_pair t1 = iiwa_position_f32_sincos(in->q[3]);
     const iiwa_position_f32_pair t2 = iiwa_position_f32_sincos(in->q[1]);
@@ -1494,16 +1578,21 @@ static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, con
 }
 
 
-static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
+static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S,
+    float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards S, pivots of Q */
     const iiwa_position_f32_pair t0 = iiwa_position_f32_sincos(in->q[5]);
     const iiwa_position_f32_pair t1 = iiwa_position_f32_sincos(in->q[3]);
     const iiwa_position_f32_pair t2 = iiwa_position_f32_sincos(in->q[1]);
+    /* towards S */
     const iiwa_position_f32_pair t3 = iiwa_position_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S, pivots of Q */
     const iiwa_position_f32_pair t6 = iiwa_position_f32_sincos(in->q[2]);
+    /* towards S */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -1513,7 +1602,9 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S, pivots of Q */
     const iiwa_position_f32_pair t16 = iiwa_position_f32_sincos(in->q[4]);
+    /* towards S */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -1555,6 +1646,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t55 = t53 + t54;
     const float t56 = 0.42f * t32;
     const float t57 = t55 + t56;
+    /* towards S, pivots of Q */
     const float t58 = t1.cos * t2.cos;
     const float t59 = t2.sin * t6.cos;
     const float t60 = t1.sin * t59;
@@ -1564,17 +1656,21 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t64 = t1.sin * t2.cos;
     const float t65 = t64 - t62;
     const float t66 = t16.cos * t65;
+    /* towards S */
     const float t67 = t16.sin * t65;
+    /* towards S, pivots of Q */
     const float t68 = t2.sin * t6.sin;
     const float t69 = t16.sin * t68;
     const float t70 = t66 + t69;
     const float t71 = t0.sin * t70;
     const float t72 = t63 + t71;
+    /* towards S */
     const float t73 = 0.081f * t72;
     const float t74 = 0.4f * t61;
     const float t75 = t73 + t74;
     const float t76 = t2.cos * 0.42f;
     const float t77 = t75 + t76;
+    /* towards S, pivots of Q */
     const float t78 = t0.cos * 0.012552f;
     const float t79 = -0.008760948f - t78;
     const float t80 = t16.sin * t79;
@@ -1616,6 +1712,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t116 = t98 - t115;
     const float t117 = t114 * 114.1429f;
     const float t118 = t114 * t117;
+    /* towards S */
     const float t119 = t16.cos * t68;
     const float t120 = t67 - t119;
     const float t121 = t53 * t120;
@@ -1632,6 +1729,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t132 = t3.cos * t77;
     const float t133 = t3.cos * t31;
     const float t134 = t130 + t133;
+    /* towards S, pivots of Q */
     const float t135 = t0.cos * 0.005460948f;
     const float t136 = t0.cos * t135;
     const float t137 = 0.012552f + t135;
@@ -1683,6 +1781,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t183 = 1.0f / t182;
     const float t184 = t179 * t183;
     const float t185 = t179 * t184;
+    /* towards S */
     const float t186 = t40 * t73;
     const float t187 = t26 * t40;
     const float t188 = t26 * t61;
@@ -1692,6 +1791,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t192 = t190 + t191;
     const float t193 = t184 * t192;
     const float t194 = t129 + t193;
+    /* towards S, pivots of Q */
     const float t195 = t141 - 0.006199988f;
     const float t196 = t16.cos * t195;
     const float t197 = t101 + t101;
@@ -1706,8 +1806,10 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t206 = t203 + 0.0188212f;
     const float t207 = t0.sin * t16.sin;
     const float t208 = t0.sin * t16.cos;
+    /* towards S */
     const float t209 = t18 * t16.cos;
     const float t210 = t209 + t27;
+    /* towards S, pivots of Q */
     const float t211 = t1.sin * t201;
     const float t212 = t1.cos * t201;
     const float t213 = t151 + 0.0061506f;
@@ -1753,6 +1855,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t253 = 1.0f / t252;
     const float t254 = t247 * t253;
     const float t255 = t247 * t254;
+    /* towards S */
     const float t256 = t55 * t68;
     const float t257 = t29 * t68;
     const float t258 = t48 * t75;
@@ -1764,6 +1867,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t264 = t262 - t263;
     const float t265 = t254 * t264;
     const float t266 = t194 + t265;
+    /* towards S, pivots of Q */
     const float t267 = t205 - t233;
     const float t268 = t1.cos * t267;
     const float t269 = t268 - t154;
@@ -1813,6 +1917,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t313 = 1.0f / t312;
     const float t314 = t305 * t313;
     const float t315 = t305 * t314;
+    /* towards S */
     const float t316 = t32 * t75;
     const float t317 = t29 * t32;
     const float t318 = t2.cos * t29;
@@ -1826,6 +1931,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t326 = t324 - t325;
     const float t327 = t314 * t326;
     const float t328 = t266 + t327;
+    /* towards S, pivots of Q */
     const float t329 = t274 - t206;
     const float t330 = t6.cos * t329;
     const float t331 = t6.sin * t217;
@@ -1893,6 +1999,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t393 = t373 * t392;
     const float t394 = t373 * t393;
     const float t395 = t388 - t394;
+    /* towards S */
     const float t396 = t126 * t350;
     const float t397 = t132 - t396;
     const float t398 = 114.1429f * t126;
@@ -1944,6 +2051,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t444 = t424 * t207;
     const float t445 = t0.cos * t432;
     const float t446 = t444 - t445;
+    /* towards S, pivots of Q */
     const float t447 = t1.sin * t208;
     const float t448 = t1.cos * t208;
     const float t449 = t0.cos * t1.cos;
@@ -1952,6 +2060,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t452 = t448 - t451;
     const float t453 = t6.sin * t452;
     const float t454 = t453 + t344;
+    /* towards S */
     const float t455 = t418 * t450;
     const float t456 = t446 - t455;
     const float t457 = t414 * t454;
@@ -2122,6 +2231,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     const float t622 = t621 + t616;
     const float t623 = t72 * t584;
     const float t624 = t622 - t623;
+    /* towards pivots of Q */
     const float t625 = t0.cos * 0.001f;
     const float t626 = t0.cos * t625;
     const float t627 = t143 + t626;
@@ -2159,7 +2269,7 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     S[18] = t604;
     S[19] = t615;
     S[20] = t624;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t627;
     mass_pivot[1] = t252;
@@ -2173,16 +2283,21 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
 }
 
 
-static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
+static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z,
+    float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards z, pivots of Q */
     const iiwa_position_f32_pair t0 = iiwa_position_f32_sincos(in->q[5]);
     const iiwa_position_f32_pair t1 = iiwa_position_f32_sincos(in->q[3]);
     const iiwa_position_f32_pair t2 = iiwa_position_f32_sincos(in->q[1]);
+    /* towards z */
     const iiwa_position_f32_pair t3 = iiwa_position_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards z, pivots of Q */
     const iiwa_position_f32_pair t6 = iiwa_position_f32_sincos(in->q[2]);
+    /* towards z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -2192,7 +2307,9 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards z, pivots of Q */
     const iiwa_position_f32_pair t16 = iiwa_position_f32_sincos(in->q[4]);
+    /* towards z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -2238,6 +2355,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t59 = t57 + t58;
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards z, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -2247,12 +2365,15 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards z */
     const float t71 = t16.sin * t69;
+    /* towards z, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
@@ -2261,6 +2382,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t82 = t81 + 0.36f;
     const float t83 = t82 - in->r[2];
     const float t84 = t83 * 100.0f;
+    /* towards z, pivots of Q */
     const float t85 = t0.cos * 0.012552f;
     const float t86 = -0.008760948f - t85;
     const float t87 = t16.sin * t86;
@@ -2302,6 +2424,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t123 = t105 - t122;
     const float t124 = t121 * 114.1429f;
     const float t125 = t121 * t124;
+    /* towards z */
     const float t126 = t16.cos * t72;
     const float t127 = t71 - t126;
     const float t128 = t55 * t127;
@@ -2311,6 +2434,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t132 = t128 - t131;
     const float t133 = t124 * t132;
     const float t134 = t59 + t133;
+    /* towards z, pivots of Q */
     const float t135 = t0.cos * 0.005460948f;
     const float t136 = t0.cos * t135;
     const float t137 = 0.012552f + t135;
@@ -2362,6 +2486,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t183 = 1.0f / t182;
     const float t184 = t179 * t183;
     const float t185 = t179 * t184;
+    /* towards z */
     const float t186 = t42 * t77;
     const float t187 = t55 * t65;
     const float t188 = t186 - t187;
@@ -2370,6 +2495,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t191 = t188 * in->u[4];
     const float t192 = t184 * t190;
     const float t193 = t134 + t192;
+    /* towards z, pivots of Q */
     const float t194 = t141 - 0.006199988f;
     const float t195 = t16.cos * t194;
     const float t196 = t108 + t108;
@@ -2427,6 +2553,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t248 = 1.0f / t247;
     const float t249 = t242 * t248;
     const float t250 = t242 * t249;
+    /* towards z */
     const float t251 = t57 * t72;
     const float t252 = t29 * t72;
     const float t253 = t50 * t79;
@@ -2439,6 +2566,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t260 = t257 - t259;
     const float t261 = t249 * t260;
     const float t262 = t193 + t261;
+    /* towards z, pivots of Q */
     const float t263 = t204 - t228;
     const float t264 = t1.cos * t263;
     const float t265 = t264 - t154;
@@ -2488,6 +2616,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t309 = 1.0f / t308;
     const float t310 = t301 * t309;
     const float t311 = t301 * t310;
+    /* towards z */
     const float t312 = t34 * t79;
     const float t313 = t29 * t34;
     const float t314 = t2.cos * t29;
@@ -2502,6 +2631,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t323 = t321 - t322;
     const float t324 = t310 * t323;
     const float t325 = t262 + t324;
+    /* towards z, pivots of Q */
     const float t326 = t270 - t205;
     const float t327 = t6.cos * t326;
     const float t328 = t6.sin * t212;
@@ -2568,6 +2698,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t389 = t370 * t388;
     const float t390 = t370 * t389;
     const float t391 = t387 - t390;
+    /* towards z */
     const float t392 = t3.cos * t81;
     const float t393 = t3.sin * t81;
     const float t394 = t3.sin * t59;
@@ -2589,6 +2720,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t410 = t408 - t409;
     const float t411 = t389 * t410;
     const float t412 = t325 + t411;
+    /* towards pivots of Q */
     const float t413 = t0.sin * t16.sin;
     const float t414 = t0.sin * t16.cos;
     const float t415 = t1.sin * t414;
@@ -2600,6 +2732,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t421 = t6.sin * t420;
     const float t422 = t6.cos * t413;
     const float t423 = t421 + t422;
+    /* towards z */
     const float t424 = t18 * t16.cos;
     const float t425 = t424 + t24;
     const float t426 = t77 * t425;
@@ -3168,6 +3301,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     const float t989 = t802 * t988;
     const float t990 = t971 - t989;
     const float t991 = (-t987) - t990;
+    /* towards pivots of Q */
     const float t992 = t0.cos * 0.001f;
     const float t993 = t0.cos * t992;
     const float t994 = t143 + t993;
@@ -3187,7 +3321,7 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     z[0] = t965;
     z[1] = t981;
     z[2] = t991;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t994;
     mass_pivot[1] = t247;
@@ -3201,16 +3335,21 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
 }
 
 
-static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
+static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in,
+    float *S, float *z, float *mass_pivot, float *mass_scale)
 {
     (void)model;
+    /* towards S, z, pivots of Q */
     const iiwa_position_f32_pair t0 = iiwa_position_f32_sincos(in->q[5]);
     const iiwa_position_f32_pair t1 = iiwa_position_f32_sincos(in->q[3]);
     const iiwa_position_f32_pair t2 = iiwa_position_f32_sincos(in->q[1]);
+    /* towards S, z */
     const iiwa_position_f32_pair t3 = iiwa_position_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S, z, pivots of Q */
     const iiwa_position_f32_pair t6 = iiwa_position_f32_sincos(in->q[2]);
+    /* towards S, z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -3220,7 +3359,9 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S, z, pivots of Q */
     const iiwa_position_f32_pair t16 = iiwa_position_f32_sincos(in->q[4]);
+    /* towards S, z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -3236,8 +3377,10 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t29 = t27 + t28;
     const float t30 = t4 * 0.42f;
     const float t31 = t29 + t30;
+    /* towards z */
     const float t32 = t31 - in->r[0];
     const float t33 = t32 * 100.0f;
+    /* towards S, z */
     const float t34 = t2.sin * t3.sin;
     const float t35 = t1.cos * t34;
     const float t36 = t2.cos * t3.sin;
@@ -3264,8 +3407,10 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t57 = t55 + t56;
     const float t58 = 0.42f * t34;
     const float t59 = t57 + t58;
+    /* towards z */
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards S, z, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -3275,20 +3420,25 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards S, z */
     const float t71 = t16.sin * t69;
+    /* towards S, z, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards S, z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
     const float t80 = t2.cos * 0.42f;
     const float t81 = t79 + t80;
+    /* towards z */
     const float t82 = t81 + 0.36f;
     const float t83 = t82 - in->r[2];
     const float t84 = t83 * 100.0f;
+    /* towards S, z, pivots of Q */
     const float t85 = t0.cos * 0.012552f;
     const float t86 = -0.008760948f - t85;
     const float t87 = t16.sin * t86;
@@ -3330,6 +3480,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t123 = t105 - t122;
     const float t124 = t121 * 114.1429f;
     const float t125 = t121 * t124;
+    /* towards S, z */
     const float t126 = t16.cos * t72;
     const float t127 = t71 - t126;
     const float t128 = t55 * t127;
@@ -3339,6 +3490,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t132 = t128 - t131;
     const float t133 = t124 * t132;
     const float t134 = t59 + t133;
+    /* towards S, z, pivots of Q */
     const float t135 = t0.cos * 0.005460948f;
     const float t136 = t0.cos * t135;
     const float t137 = 0.012552f + t135;
@@ -3390,14 +3542,18 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t183 = 1.0f / t182;
     const float t184 = t179 * t183;
     const float t185 = t179 * t184;
+    /* towards S, z */
     const float t186 = t42 * t77;
     const float t187 = t55 * t65;
     const float t188 = t186 - t187;
     const float t189 = t132 * t180;
     const float t190 = t188 + t189;
+    /* towards z */
     const float t191 = t188 * in->u[4];
+    /* towards S, z */
     const float t192 = t184 * t190;
     const float t193 = t134 + t192;
+    /* towards S, z, pivots of Q */
     const float t194 = t141 - 0.006199988f;
     const float t195 = t16.cos * t194;
     const float t196 = t108 + t108;
@@ -3455,6 +3611,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t248 = 1.0f / t247;
     const float t249 = t242 * t248;
     const float t250 = t242 * t249;
+    /* towards S, z */
     const float t251 = t57 * t72;
     const float t252 = t29 * t72;
     const float t253 = t50 * t79;
@@ -3462,11 +3619,14 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t255 = t29 * t50;
     const float t256 = t132 * t238;
     const float t257 = t254 - t256;
+    /* towards z */
     const float t258 = t254 * in->u[3];
+    /* towards S, z */
     const float t259 = t190 * t245;
     const float t260 = t257 - t259;
     const float t261 = t249 * t260;
     const float t262 = t193 + t261;
+    /* towards S, z, pivots of Q */
     const float t263 = t204 - t228;
     const float t264 = t1.cos * t263;
     const float t265 = t264 - t154;
@@ -3516,6 +3676,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t309 = 1.0f / t308;
     const float t310 = t301 * t309;
     const float t311 = t301 * t310;
+    /* towards S, z */
     const float t312 = t34 * t79;
     const float t313 = t29 * t34;
     const float t314 = t2.cos * t29;
@@ -3523,13 +3684,16 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t316 = t312 - t315;
     const float t317 = t132 * t290;
     const float t318 = t316 - t317;
+    /* towards z */
     const float t319 = t316 * in->u[2];
+    /* towards S, z */
     const float t320 = t190 * t297;
     const float t321 = t318 - t320;
     const float t322 = t260 * t306;
     const float t323 = t321 - t322;
     const float t324 = t310 * t323;
     const float t325 = t262 + t324;
+    /* towards S, z, pivots of Q */
     const float t326 = t270 - t205;
     const float t327 = t6.cos * t326;
     const float t328 = t6.sin * t212;
@@ -3596,19 +3760,24 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t389 = t369 * t388;
     const float t390 = t369 * t389;
     const float t391 = t384 - t390;
+    /* towards S, z */
     const float t392 = t3.cos * t81;
     const float t393 = t3.sin * t81;
     const float t394 = t3.sin * t59;
     const float t395 = t3.cos * t31;
     const float t396 = t394 + t395;
+    /* towards z */
     const float t397 = t59 * in->u[0];
+    /* towards S, z */
     const float t398 = t132 * t346;
     const float t399 = t392 - t398;
+    /* towards z */
     const float t400 = t392 * in->u[1];
     const float t401 = t400 - t397;
     const float t402 = t401 + t319;
     const float t403 = t402 + t258;
     const float t404 = t403 + t191;
+    /* towards S, z */
     const float t405 = t190 * t356;
     const float t406 = t399 - t405;
     const float t407 = t260 * t364;
@@ -3617,6 +3786,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t410 = t408 - t409;
     const float t411 = t389 * t410;
     const float t412 = t325 + t411;
+    /* towards S */
     const float t413 = 1.0f / t391;
     const float t414 = t412 * t413;
     const float t415 = t388 * t410;
@@ -3655,25 +3825,32 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t448 = t124 * t414;
     const float t449 = t447 + t448;
     const float t450 = t76 * t414;
+    /* towards S, pivots of Q */
     const float t451 = t0.sin * t16.sin;
+    /* towards S */
     const float t452 = t429 * t451;
     const float t453 = t0.cos * t438;
     const float t454 = t452 - t453;
+    /* towards S, pivots of Q */
     const float t455 = t0.sin * t16.cos;
     const float t456 = t1.sin * t455;
     const float t457 = t1.cos * t455;
     const float t458 = t0.cos * t1.cos;
     const float t459 = t456 + t458;
+    /* towards S */
     const float t460 = t422 * t459;
     const float t461 = t454 - t460;
+    /* towards S, pivots of Q */
     const float t462 = t0.cos * t1.sin;
     const float t463 = t457 - t462;
     const float t464 = t6.sin * t463;
     const float t465 = t6.cos * t451;
     const float t466 = t464 + t465;
+    /* towards S */
     const float t467 = t417 * t466;
     const float t468 = t461 - t467;
     const float t469 = t468 + t450;
+    /* towards S, z */
     const float t470 = t18 * t16.cos;
     const float t471 = t470 + t24;
     const float t472 = t77 * t471;
@@ -3682,12 +3859,16 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t475 = t472 - t474;
     const float t476 = t124 * t475;
     const float t477 = t31 - t476;
+    /* towards z */
     const float t478 = t31 * in->u[0];
+    /* towards S, z */
     const float t479 = t27 * t65;
     const float t480 = t479 - t473;
     const float t481 = t180 * t475;
     const float t482 = t480 + t481;
+    /* towards z */
     const float t483 = t480 * in->u[4];
+    /* towards S, z */
     const float t484 = t184 * t482;
     const float t485 = t477 - t484;
     const float t486 = t18 * t79;
@@ -3700,14 +3881,18 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t493 = t492 - t313;
     const float t494 = t238 * t475;
     const float t495 = t487 + t494;
+    /* towards z */
     const float t496 = t487 * in->u[3];
+    /* towards S, z */
     const float t497 = t245 * t482;
     const float t498 = t495 + t497;
     const float t499 = t249 * t498;
     const float t500 = t485 + t499;
     const float t501 = t290 * t475;
     const float t502 = t489 - t501;
+    /* towards z */
     const float t503 = t489 * in->u[2];
+    /* towards S, z */
     const float t504 = t297 * t482;
     const float t505 = t502 - t504;
     const float t506 = t306 * t498;
@@ -3716,11 +3901,13 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t509 = t500 - t508;
     const float t510 = t346 * t475;
     const float t511 = t393 - t510;
+    /* towards z */
     const float t512 = t393 * in->u[1];
     const float t513 = t478 + t512;
     const float t514 = t513 + t503;
     const float t515 = t514 - t496;
     const float t516 = t515 + t483;
+    /* towards S, z */
     const float t517 = t356 * t482;
     const float t518 = t511 - t517;
     const float t519 = t364 * t498;
@@ -3729,6 +3916,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t522 = t520 - t521;
     const float t523 = t389 * t522;
     const float t524 = t509 - t523;
+    /* towards S */
     const float t525 = t413 * t524;
     const float t526 = t388 * t522;
     const float t527 = t389 * t525;
@@ -3774,6 +3962,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t567 = t565 + t566;
     const float t568 = t76 * t525;
     const float t569 = t567 + t568;
+    /* towards S, z */
     const float t570 = t27 * t130;
     const float t571 = t27 * t42;
     const float t572 = t55 * t471;
@@ -3782,35 +3971,50 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t575 = t574 - t571;
     const float t576 = t346 * t573;
     const float t577 = t396 + t576;
+    /* towards z */
     const float t578 = t396 * in->u[1];
+    /* towards S, z */
     const float t579 = t180 * t573;
     const float t580 = t575 + t579;
+    /* towards S */
     const float t581 = t183 * t580;
+    /* towards z */
     const float t582 = t575 * in->u[4];
+    /* towards S, z */
     const float t583 = t356 * t580;
     const float t584 = t577 + t583;
     const float t585 = t238 * t573;
     const float t586 = t491 - t585;
+    /* towards z */
     const float t587 = t491 * in->u[3];
+    /* towards S, z */
     const float t588 = t245 * t580;
     const float t589 = t586 - t588;
+    /* towards S */
     const float t590 = t248 * t589;
+    /* towards S, z */
     const float t591 = t364 * t589;
     const float t592 = t584 + t591;
     const float t593 = t290 * t573;
     const float t594 = t493 - t593;
+    /* towards z */
     const float t595 = t493 * in->u[2];
     const float t596 = t595 - t578;
     const float t597 = t596 + t587;
     const float t598 = t597 + t582;
+    /* towards S, z */
     const float t599 = t297 * t580;
     const float t600 = t594 - t599;
     const float t601 = t306 * t589;
     const float t602 = t600 - t601;
+    /* towards S */
     const float t603 = t309 * t602;
+    /* towards S, z */
     const float t604 = t385 * t602;
     const float t605 = t592 + t604;
+    /* towards S */
     const float t606 = t388 * t605;
+    /* towards S, z */
     const float t607 = t389 * t605;
     const float t608 = t124 * t573;
     const float t609 = t184 * t580;
@@ -3820,6 +4024,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t613 = t310 * t602;
     const float t614 = t612 + t613;
     const float t615 = t607 - t614;
+    /* towards S */
     const float t616 = t413 * t615;
     const float t617 = t389 * t616;
     const float t618 = t606 + t617;
@@ -3861,6 +4066,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t654 = t653 + t646;
     const float t655 = t76 * t616;
     const float t656 = t654 - t655;
+    /* towards z */
     const float t657 = t132 * in->u[5];
     const float t658 = t404 + t657;
     const float t659 = t658 - in->r_dot[0];
@@ -4332,6 +4538,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     const float t1125 = t938 * t1124;
     const float t1126 = t1107 - t1125;
     const float t1127 = (-t1123) - t1126;
+    /* towards pivots of Q */
     const float t1128 = t0.cos * 0.001f;
     const float t1129 = t0.cos * t1128;
     const float t1130 = t143 + t1129;
@@ -4373,7 +4580,7 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     z[0] = t1101;
     z[1] = t1117;
     z[2] = t1127;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t1130;
     mass_pivot[1] = t247;
@@ -4387,16 +4594,22 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
 }
 
 
-static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S_w, float *z, float *y_w, float *recover, float *mass_pivot, float *mass_scale)
+static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_model *model,
+    const iiwa_position_f32_input *in, float *S_w, float *z, float *y_w, float *recover, float *mass_pivot,
+    float *mass_scale)
 {
     (void)model;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_f32_pair t0 = iiwa_position_f32_sincos(in->q[5]);
     const iiwa_position_f32_pair t1 = iiwa_position_f32_sincos(in->q[3]);
     const iiwa_position_f32_pair t2 = iiwa_position_f32_sincos(in->q[1]);
+    /* towards S_w, z */
     const iiwa_position_f32_pair t3 = iiwa_position_f32_sincos(in->q[0]);
     const float t4 = t2.sin * t3.cos;
     const float t5 = t1.cos * t4;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_f32_pair t6 = iiwa_position_f32_sincos(in->q[2]);
+    /* towards S_w, z */
     const float t7 = t3.cos * t2.cos;
     const float t8 = t6.cos * t7;
     const float t9 = t7 * t6.sin;
@@ -4406,7 +4619,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t13 = t5 - t12;
     const float t14 = t1.cos * t11;
     const float t15 = t0.cos * t13;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_f32_pair t16 = iiwa_position_f32_sincos(in->q[4]);
+    /* towards S_w, z */
     const float t17 = t6.cos * t3.sin;
     const float t18 = t17 + t9;
     const float t19 = t16.sin * t18;
@@ -4422,8 +4637,10 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t29 = t27 + t28;
     const float t30 = t4 * 0.42f;
     const float t31 = t29 + t30;
+    /* towards z */
     const float t32 = t31 - in->r[0];
     const float t33 = t32 * 100.0f;
+    /* towards S_w, z */
     const float t34 = t2.sin * t3.sin;
     const float t35 = t1.cos * t34;
     const float t36 = t2.cos * t3.sin;
@@ -4450,8 +4667,10 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t57 = t55 + t56;
     const float t58 = 0.42f * t34;
     const float t59 = t57 + t58;
+    /* towards z */
     const float t60 = t59 - in->r[1];
     const float t61 = t60 * 100.0f;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t62 = t1.cos * t2.cos;
     const float t63 = t2.sin * t6.cos;
     const float t64 = t1.sin * t63;
@@ -4461,20 +4680,25 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t68 = t1.sin * t2.cos;
     const float t69 = t68 - t66;
     const float t70 = t16.cos * t69;
+    /* towards S_w, z */
     const float t71 = t16.sin * t69;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t72 = t2.sin * t6.sin;
     const float t73 = t16.sin * t72;
     const float t74 = t70 + t73;
     const float t75 = t0.sin * t74;
     const float t76 = t67 + t75;
+    /* towards S_w, z */
     const float t77 = 0.081f * t76;
     const float t78 = 0.4f * t65;
     const float t79 = t77 + t78;
     const float t80 = t2.cos * 0.42f;
     const float t81 = t79 + t80;
+    /* towards z */
     const float t82 = t81 + 0.36f;
     const float t83 = t82 - in->r[2];
     const float t84 = t83 * 100.0f;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t85 = t0.cos * 0.012552f;
     const float t86 = -0.008760948f - t85;
     const float t87 = t16.sin * t86;
@@ -4516,6 +4740,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t123 = t105 - t122;
     const float t124 = t121 * 114.1429f;
     const float t125 = t121 * t124;
+    /* towards S_w, z */
     const float t126 = t16.cos * t72;
     const float t127 = t71 - t126;
     const float t128 = t55 * t127;
@@ -4525,6 +4750,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t132 = t128 - t131;
     const float t133 = t124 * t132;
     const float t134 = t59 + t133;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t135 = t0.cos * 0.005460948f;
     const float t136 = t0.cos * t135;
     const float t137 = 0.012552f + t135;
@@ -4576,14 +4802,18 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t183 = 1.0f / t182;
     const float t184 = t179 * t183;
     const float t185 = t179 * t184;
+    /* towards S_w, z */
     const float t186 = t42 * t77;
     const float t187 = t55 * t65;
     const float t188 = t186 - t187;
     const float t189 = t132 * t180;
     const float t190 = t188 + t189;
+    /* towards z */
     const float t191 = t188 * in->u[4];
+    /* towards S_w, z */
     const float t192 = t184 * t190;
     const float t193 = t134 + t192;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t194 = t141 - 0.006199988f;
     const float t195 = t16.cos * t194;
     const float t196 = t108 + t108;
@@ -4641,6 +4871,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t248 = 1.0f / t247;
     const float t249 = t242 * t248;
     const float t250 = t242 * t249;
+    /* towards S_w, z */
     const float t251 = t57 * t72;
     const float t252 = t29 * t72;
     const float t253 = t50 * t79;
@@ -4648,11 +4879,14 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t255 = t29 * t50;
     const float t256 = t132 * t238;
     const float t257 = t254 - t256;
+    /* towards z */
     const float t258 = t254 * in->u[3];
+    /* towards S_w, z */
     const float t259 = t190 * t245;
     const float t260 = t257 - t259;
     const float t261 = t249 * t260;
     const float t262 = t193 + t261;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t263 = t204 - t228;
     const float t264 = t1.cos * t263;
     const float t265 = t264 - t154;
@@ -4702,6 +4936,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t309 = 1.0f / t308;
     const float t310 = t301 * t309;
     const float t311 = t301 * t310;
+    /* towards S_w, z */
     const float t312 = t34 * t79;
     const float t313 = t29 * t34;
     const float t314 = t2.cos * t29;
@@ -4709,13 +4944,16 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t316 = t312 - t315;
     const float t317 = t132 * t290;
     const float t318 = t316 - t317;
+    /* towards z */
     const float t319 = t316 * in->u[2];
+    /* towards S_w, z */
     const float t320 = t190 * t297;
     const float t321 = t318 - t320;
     const float t322 = t260 * t306;
     const float t323 = t321 - t322;
     const float t324 = t310 * t323;
     const float t325 = t262 + t324;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const float t326 = t270 - t205;
     const float t327 = t6.cos * t326;
     const float t328 = t6.sin * t212;
@@ -4782,19 +5020,24 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t389 = t370 * t388;
     const float t390 = t370 * t389;
     const float t391 = t387 - t390;
+    /* towards S_w, z */
     const float t392 = t3.cos * t81;
     const float t393 = t3.sin * t81;
     const float t394 = t3.sin * t59;
     const float t395 = t3.cos * t31;
     const float t396 = t394 + t395;
+    /* towards z */
     const float t397 = t59 * in->u[0];
+    /* towards S_w, z */
     const float t398 = t132 * t346;
     const float t399 = t392 - t398;
+    /* towards z */
     const float t400 = t392 * in->u[1];
     const float t401 = t400 - t397;
     const float t402 = t401 + t319;
     const float t403 = t402 + t258;
     const float t404 = t403 + t191;
+    /* towards S_w, z */
     const float t405 = t190 * t351;
     const float t406 = t399 - t405;
     const float t407 = t260 * t358;
@@ -4803,6 +5046,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t410 = t408 - t409;
     const float t411 = t389 * t410;
     const float t412 = t325 + t411;
+    /* towards y_w, recover, pivots of Q */
     const float t413 = t0.sin * t16.sin;
     const float t414 = t0.sin * t16.cos;
     const float t415 = t1.sin * t414;
@@ -4814,6 +5058,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t421 = t6.sin * t420;
     const float t422 = t6.cos * t413;
     const float t423 = t421 + t422;
+    /* towards S_w, z */
     const float t424 = t18 * t16.cos;
     const float t425 = t424 + t24;
     const float t426 = t77 * t425;
@@ -4822,12 +5067,16 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t429 = t426 - t428;
     const float t430 = t124 * t429;
     const float t431 = t31 - t430;
+    /* towards z */
     const float t432 = t31 * in->u[0];
+    /* towards S_w, z */
     const float t433 = t27 * t65;
     const float t434 = t433 - t427;
     const float t435 = t180 * t429;
     const float t436 = t434 + t435;
+    /* towards z */
     const float t437 = t434 * in->u[4];
+    /* towards S_w, z */
     const float t438 = t184 * t436;
     const float t439 = t431 - t438;
     const float t440 = t18 * t79;
@@ -4840,14 +5089,18 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t447 = t446 - t313;
     const float t448 = t238 * t429;
     const float t449 = t441 + t448;
+    /* towards z */
     const float t450 = t441 * in->u[3];
+    /* towards S_w, z */
     const float t451 = t245 * t436;
     const float t452 = t449 + t451;
     const float t453 = t249 * t452;
     const float t454 = t439 + t453;
     const float t455 = t290 * t429;
     const float t456 = t443 - t455;
+    /* towards z */
     const float t457 = t443 * in->u[2];
+    /* towards S_w, z */
     const float t458 = t297 * t436;
     const float t459 = t456 - t458;
     const float t460 = t306 * t452;
@@ -4856,11 +5109,13 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t463 = t454 - t462;
     const float t464 = t346 * t429;
     const float t465 = t393 - t464;
+    /* towards z */
     const float t466 = t393 * in->u[1];
     const float t467 = t432 + t466;
     const float t468 = t467 + t457;
     const float t469 = t468 - t450;
     const float t470 = t469 + t437;
+    /* towards S_w, z */
     const float t471 = t351 * t436;
     const float t472 = t465 - t471;
     const float t473 = t358 * t452;
@@ -4877,25 +5132,33 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t484 = t483 - t480;
     const float t485 = t346 * t482;
     const float t486 = t396 + t485;
+    /* towards z */
     const float t487 = t396 * in->u[1];
+    /* towards S_w, z */
     const float t488 = t180 * t482;
     const float t489 = t484 + t488;
+    /* towards z */
     const float t490 = t484 * in->u[4];
+    /* towards S_w, z */
     const float t491 = t351 * t489;
     const float t492 = t486 + t491;
     const float t493 = t238 * t482;
     const float t494 = t445 - t493;
+    /* towards z */
     const float t495 = t445 * in->u[3];
+    /* towards S_w, z */
     const float t496 = t245 * t489;
     const float t497 = t494 - t496;
     const float t498 = t358 * t497;
     const float t499 = t492 + t498;
     const float t500 = t290 * t482;
     const float t501 = t447 - t500;
+    /* towards z */
     const float t502 = t447 * in->u[2];
     const float t503 = t502 - t487;
     const float t504 = t503 + t495;
     const float t505 = t504 + t490;
+    /* towards S_w, z */
     const float t506 = t297 * t489;
     const float t507 = t501 - t506;
     const float t508 = t306 * t497;
@@ -4911,12 +5174,15 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t518 = t310 * t509;
     const float t519 = t517 + t518;
     const float t520 = t512 - t519;
+    /* towards z */
     const float t521 = t132 * in->u[5];
     const float t522 = t404 + t521;
     const float t523 = t522 - in->r_dot[0];
     const float t524 = t523 * 20.0f;
     const float t525 = t524 + t33;
+    /* towards S_w, z */
     const float t526 = t132 * 10.683768f;
+    /* towards z, y_w */
     const float t527 = t6.cos * in->u[1];
     const float t528 = t2.sin * in->u[0];
     const float t529 = t6.sin * t528;
@@ -4997,7 +5263,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t604 = t560 - t603;
     const float t605 = 0.03498f * t603;
     const float t606 = t0.cos * t604;
+    /* towards z */
     const float t607 = t0.sin * t604;
+    /* towards z, y_w */
     const float t608 = t531 * t531;
     const float t609 = t540 * t540;
     const float t610 = t608 + t609;
@@ -5006,8 +5274,10 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t613 = 1.46375f * t610;
     const float t614 = t0.sin * t612;
     const float t615 = t606 + t614;
+    /* towards z */
     const float t616 = t0.cos * t612;
     const float t617 = t616 - t607;
+    /* towards z, y_w */
     const float t618 = t0.cos * t542;
     const float t619 = t0.sin * t546;
     const float t620 = t618 + t619;
@@ -5015,11 +5285,15 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t622 = t0.sin * t542;
     const float t623 = t621 - t622;
     const float t624 = t620 * t623;
+    /* towards z */
     const float t625 = 0.081f * t624;
     const float t626 = t615 + t625;
+    /* towards z, y_w */
     const float t627 = 0.03138f * t615;
+    /* towards z */
     const float t628 = t0.cos * t626;
     const float t629 = t0.sin * t626;
+    /* towards z, y_w */
     const float t630 = t620 * t620;
     const float t631 = t16.cos * t531;
     const float t632 = t16.sin * t540;
@@ -5027,9 +5301,12 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t634 = in->u[5] - t633;
     const float t635 = t634 * t634;
     const float t636 = t630 + t635;
+    /* towards z */
     const float t637 = 0.081f * t636;
     const float t638 = t617 - t637;
+    /* towards z, y_w */
     const float t639 = 0.03138f * t636;
+    /* towards z */
     const float t640 = t0.sin * t638;
     const float t641 = t628 - t640;
     const float t642 = t23 * t641;
@@ -5040,6 +5317,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t647 = t65 * t644;
     const float t648 = t52 * t641;
     const float t649 = t74 * t641;
+    /* towards z, y_w */
     const float t650 = in->u[4] * t633;
     const float t651 = t16.cos * t554;
     const float t652 = t650 - t651;
@@ -5047,7 +5325,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t654 = in->u[5] + t634;
     const float t655 = t623 * t654;
     const float t656 = t653 + t655;
+    /* towards z */
     const float t657 = 0.081f * t656;
+    /* towards z, y_w */
     const float t658 = t16.sin * t586;
     const float t659 = 1.46375f * t586;
     const float t660 = t16.cos * t597;
@@ -5060,15 +5340,18 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t667 = t0.sin * t652;
     const float t668 = 0.4f * t665;
     const float t669 = t661 + t668;
+    /* towards z */
     const float t670 = t657 - t669;
     const float t671 = t425 * t670;
     const float t672 = t642 - t671;
     const float t673 = t672 + t645;
     const float t674 = t673 - in->r_ddot[0];
     const float t675 = t525 + t674;
+    /* towards z, y_w */
     const float t676 = 0.03138f * t669;
     const float t677 = 0.00017f * t661;
     const float t678 = 0.000044285f * t665;
+    /* towards z */
     const float t679 = t130 * t670;
     const float t680 = t648 + t679;
     const float t681 = t646 - t680;
@@ -5078,11 +5361,15 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t685 = t681 - in->r_ddot[1];
     const float t686 = t684 + -9.81f;
     const float t687 = t686 - in->r_ddot[2];
+    /* towards S_w, z, y_w, recover */
     const float t688 = iiwa_position_f32_sqrt(t376);
+    /* towards S_w, z, y_w */
     const float t689 = 1.0f / t688;
+    /* towards S_w, z */
     const float t690 = t410 * t689;
     const float t691 = t476 * t689;
     const float t692 = t511 * t689;
+    /* towards z, y_w */
     const float t693 = t528 * t537;
     const float t694 = t537 * t537;
     const float t695 = in->u[1] * t528;
@@ -5106,7 +5393,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t713 = 0.005460948f * t624;
     const float t714 = t710 - t713;
     const float t715 = t346 * t714;
+    /* towards y_w, recover */
     const float t716 = t346 * 0.09359994f;
+    /* towards z, y_w */
     const float t717 = t2.sin * 38.940796f;
     const float t718 = t715 + t717;
     const float t719 = t694 - t580;
@@ -5263,19 +5552,25 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t870 = t834 - t869;
     const float t871 = t180 * t714;
     const float t872 = t828 + t871;
+    /* towards y_w, recover */
     const float t873 = t180 * 0.09359994f;
+    /* towards z, y_w */
     const float t874 = t351 * t872;
     const float t875 = t866 + t874;
     const float t876 = t238 * t714;
     const float t877 = t876 - t860;
+    /* towards y_w, recover */
     const float t878 = t238 * 0.09359994f;
+    /* towards z, y_w */
     const float t879 = t245 * t872;
     const float t880 = t877 + t879;
     const float t881 = t358 * t880;
     const float t882 = t875 - t881;
     const float t883 = t290 * t714;
     const float t884 = t883 - t870;
+    /* towards y_w, recover */
     const float t885 = t290 * 0.09359994f;
+    /* towards z, y_w */
     const float t886 = t297 * t872;
     const float t887 = t884 + t886;
     const float t888 = t306 * t880;
@@ -5285,16 +5580,24 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t892 = t696 + t891;
     const float t893 = t689 * t892;
     const float t894 = t389 * t892;
+    /* towards y_w, recover */
     const float t895 = t389 * t688;
+    /* towards z */
     const float t896 = t690 * t893;
+    /* towards S_w, z, y_w, recover */
     const float t897 = iiwa_position_f32_sqrt(t391);
+    /* towards S_w, z, y_w */
     const float t898 = 1.0f / t897;
+    /* towards S_w, z */
     const float t899 = t412 * t898;
     const float t900 = t478 * t898;
     const float t901 = t520 * t898;
+    /* towards z, y_w */
     const float t902 = t124 * t714;
     const float t903 = t714 * 10.683768f;
+    /* towards y_w, recover */
     const float t904 = t124 * 0.09359994f;
+    /* towards z, y_w */
     const float t905 = t549 * 3.2133894f;
     const float t906 = t905 + t724;
     const float t907 = t549 * 0.0001416f;
@@ -5321,39 +5624,61 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t928 = t926 - t927;
     const float t929 = t928 - t894;
     const float t930 = t898 * t929;
+    /* towards z */
     const float t931 = t899 * t930;
     const float t932 = t896 - t931;
+    /* towards S_w, z, y_w, recover */
     const float t933 = iiwa_position_f32_sqrt(t308);
+    /* towards y_w, recover */
     const float t934 = t310 * t933;
     const float t935 = t362 * t933;
+    /* towards S_w, z, y_w */
     const float t936 = 1.0f / t933;
+    /* towards S_w, z */
     const float t937 = t323 * t936;
+    /* towards z, y_w */
     const float t938 = t889 * t936;
+    /* towards S_w, z */
     const float t939 = t461 * t936;
     const float t940 = t509 * t936;
+    /* towards z */
     const float t941 = t937 * t938;
     const float t942 = t932 + t941;
+    /* towards S_w, z, y_w, recover */
     const float t943 = iiwa_position_f32_sqrt(t247);
+    /* towards y_w, recover */
     const float t944 = t249 * t943;
     const float t945 = t358 * t943;
     const float t946 = t306 * t943;
+    /* towards S_w, z, y_w */
     const float t947 = 1.0f / t943;
+    /* towards S_w, z */
     const float t948 = t260 * t947;
+    /* towards z, y_w */
     const float t949 = t880 * t947;
+    /* towards S_w, z */
     const float t950 = t452 * t947;
     const float t951 = t497 * t947;
+    /* towards z */
     const float t952 = t948 * t949;
     const float t953 = t942 + t952;
+    /* towards S_w, z, y_w, recover */
     const float t954 = iiwa_position_f32_sqrt(t182);
+    /* towards y_w, recover */
     const float t955 = t184 * t954;
     const float t956 = t351 * t954;
     const float t957 = t297 * t954;
     const float t958 = t245 * t954;
+    /* towards S_w, z, y_w */
     const float t959 = 1.0f / t954;
+    /* towards S_w, z */
     const float t960 = t190 * t959;
+    /* towards z, y_w */
     const float t961 = t872 * t959;
+    /* towards S_w, z */
     const float t962 = t436 * t959;
     const float t963 = t489 * t959;
+    /* towards z */
     const float t964 = t960 * t961;
     const float t965 = t953 - t964;
     const float t966 = t526 * t903;
@@ -5365,7 +5690,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t972 = 20.0f * t971;
     const float t973 = t972 + t61;
     const float t974 = t973 + t685;
+    /* towards S_w, z */
     const float t975 = t429 * 10.683768f;
+    /* towards z */
     const float t976 = t930 * t900;
     const float t977 = t893 * t691;
     const float t978 = t976 + t977;
@@ -5384,7 +5711,9 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t991 = 20.0f * t990;
     const float t992 = t991 + t84;
     const float t993 = t992 + t687;
+    /* towards S_w, z */
     const float t994 = t482 * 10.683768f;
+    /* towards z */
     const float t995 = t930 * t901;
     const float t996 = t893 * t692;
     const float t997 = t995 - t996;
@@ -5397,11 +5726,13 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t1004 = t903 * t994;
     const float t1005 = t1003 - t1004;
     const float t1006 = (-t993) - t1005;
+    /* towards y_w, recover */
     const float t1007 = t76 * 0.031622775f;
     const float t1008 = t423 * 0.031622775f;
     const float t1009 = t418 * 0.031622775f;
     const float t1010 = t413 * 0.031622775f;
     const float t1011 = t0.cos * 0.031622775f;
+    /* towards y_w */
     const float t1012 = in->u[0] * 6.0f;
     const float t1013 = in->q[0] * 9.0f;
     const float t1014 = t1012 + t1013;
@@ -5484,6 +5815,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     const float t1091 = t706 + t1090;
     const float t1092 = 0.031622775f * t1091;
     const float t1093 = t1079 - t1092;
+    /* towards pivots of Q */
     const float t1094 = t0.cos * 0.001f;
     const float t1095 = t0.cos * t1094;
     const float t1096 = t143 + t1095;
@@ -5561,7 +5893,7 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     recover[24] = t1011;
     recover[25] = 0.09359994f;
     recover[26] = 0.031622775f;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t1096;
     mass_pivot[1] = t247;
@@ -5589,7 +5921,8 @@ int iiwa_position_f32_prepare(const iiwa_position_f32_params *params, iiwa_posit
 int iiwa_position_f32_psi(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *psi)
 {
     float new_psi[3];
-    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7)
+            && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
         return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_psi(model, in, new_psi);
@@ -5605,7 +5938,9 @@ int iiwa_position_f32_S(const iiwa_position_f32_model *model, const iiwa_positio
     float new_S[21];
     float mass_pivot[5], mass_scale[5];
     int status;
-    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7) && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3) && iiwa_position_f32_finite(in->r_ddot, 3))) {
+    if (!(iiwa_position_f32_finite(in->q + 6, 1) && iiwa_position_f32_finite(in->u, 7)
+            && iiwa_position_f32_finite(in->r, 3) && iiwa_position_f32_finite(in->r_dot, 3)
+            && iiwa_position_f32_finite(in->r_ddot, 3))) {
         return iiwa_position_f32_reason(IIWA_POSITION_F32_NONFINITE, in);
     }
     iiwa_position_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -5665,7 +6000,8 @@ int iiwa_position_f32_S_z(const iiwa_position_f32_model *model, const iiwa_posit
 const iiwa_position_f32_params iiwa_position_f32_params_default = { 0 };
 
 /* A failure and its reason, returned and told. */
-static IIWA_POSITION_F32_COLD int iiwa_position_f32_failed(int status, const iiwa_position_f32_input *in, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_COLD int iiwa_position_f32_failed(int status, const iiwa_position_f32_input *in,
+    iiwa_position_f32_info *info)
 {
     return iiwa_position_f32_refuse(iiwa_position_f32_reason(status, in), info);
 }
@@ -5675,7 +6011,8 @@ int iiwa_position_f32_pinv(const float *S, float *S_pinv, iiwa_position_f32_info
     return iiwa_position_f32_pinv_core(S, S_pinv, info);
 }
 
-int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *tau, iiwa_position_f32_info *info)
+int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *tau,
+    iiwa_position_f32_info *info)
 {
     float sigma[7], unweighted[7];
     float S_w[21], z[3], y_w[7], recover[27];
@@ -5692,9 +6029,12 @@ int iiwa_position_f32_control(const iiwa_position_f32_model *model, const iiwa_p
         return iiwa_position_f32_failed(status, in, info);
     }
     /* tau = L^-T sigma */
-    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3] + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
-    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4] + recover[11] * sigma[5] + recover[12] * sigma[6];
-    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5] + recover[17] * sigma[6];
+    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3]
+        + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
+    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4]
+        + recover[11] * sigma[5] + recover[12] * sigma[6];
+    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5]
+        + recover[17] * sigma[6];
     unweighted[3] = recover[18] * sigma[3] + recover[19] * sigma[4] + recover[20] * sigma[5] + recover[21] * sigma[6];
     unweighted[4] = recover[22] * sigma[4] + recover[23] * sigma[5] + recover[24] * sigma[6];
     unweighted[5] = recover[25] * sigma[5];

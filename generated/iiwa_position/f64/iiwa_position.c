@@ -11,22 +11,72 @@
 #error "build iiwa_position.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 3 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define IIWA_POSITION_NOINLINE __attribute__((noinline))
+#define IIWA_POSITION_COLD __attribute__((noinline, cold))
+#else
+#define IIWA_POSITION_NOINLINE
+#define IIWA_POSITION_COLD
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define IIWA_POSITION_FRACTION_BITS 52
+#define IIWA_POSITION_EXPONENT_BIAS 1023
+#define IIWA_POSITION_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define IIWA_POSITION_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define IIWA_POSITION_NO_EXPONENT (-16384)
+#define IIWA_POSITION_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define IIWA_POSITION_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define IIWA_POSITION_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define IIWA_POSITION_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 3 x 7, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define IIWA_POSITION_CONSISTENCY 1.2434497875801753e-14 /* a row whose relative residual is at most this is met */
+#define IIWA_POSITION_ROOT_L 2.6457513110645907 /* sqrt(7): a row within its atol is no longer than this times atol */
+/* singular values at or below this part of the largest count as zero */
+#define IIWA_POSITION_RTOL 1.5543122344752192e-15
+#define IIWA_POSITION_SQUARE_LOW_0 926 /* exponents of row 0's square with which nothing needs scaling */
+#define IIWA_POSITION_SQUARE_HIGH_0 1523
+#define IIWA_POSITION_SQUARE_LOW_1 926 /* exponents of row 1's square with which nothing needs scaling */
+#define IIWA_POSITION_SQUARE_HIGH_1 1523
+#define IIWA_POSITION_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSITION_SQUARE_HIGH_2 1523
+#define IIWA_POSITION_ANSWER_LOW 23 /* the same of the answer's square */
+#define IIWA_POSITION_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define IIWA_POSITION_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define IIWA_POSITION_NORMAL_LIMIT 27271342415.357616
+#define IIWA_POSITION_QR_LIMIT 1.4487435431179765e+28 /* up to this bound times |B|^2 the QR needs no SVD */
+#define IIWA_POSITION_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
+/* eps^2: columns with less than this part of all squares are noise */
+#define IIWA_POSITION_NEGLIGIBLE 4.930380657631324e-32
+/* columns whose squared cosine is at most this are not rotated */
+#define IIWA_POSITION_ORTHOGONAL 8.628166150854818e-32
+#define IIWA_POSITION_CONVERGED 1.4914401489334754e-30 /* a sweep that met no larger squared cosine was the last */
+#define IIWA_POSITION_SWEEP_CAP 7 /* sweeps of Jacobi's method at most: two more than were ever seen */
+
+typedef union iiwa_position_word {
     double value;
     uint64_t bits;
 } iiwa_position_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t iiwa_position_magnitude(double x)
 {
     iiwa_position_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & IIWA_POSITION_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t iiwa_position_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +115,18 @@ static double iiwa_position_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= IIWA_POSITION_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < IIWA_POSITION_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -IIWA_POSITION_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> IIWA_POSITION_FRACTION_BITS) - IIWA_POSITION_EXPONENT_BIAS;
+    rest = (word.bits & (IIWA_POSITION_SMALLEST_NORMAL - 1u)) | IIWA_POSITION_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = IIWA_POSITION_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +134,8 @@ static double iiwa_position_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + IIWA_POSITION_EXPONENT_BIAS - 1) << IIWA_POSITION_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +159,12 @@ static int iiwa_position_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     iiwa_position_word word;
     const uint64_t magnitude = iiwa_position_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> IIWA_POSITION_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(IIWA_POSITION_EXPONENT_BIAS + IIWA_POSITION_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= IIWA_POSITION_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +173,14 @@ static int iiwa_position_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +232,8 @@ static void iiwa_position_reduce_close(double x, double k, double *hi, double *l
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int iiwa_position_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = iiwa_position_magnitude(x);
@@ -203,7 +257,8 @@ static inline int iiwa_position_reduce(double x, double *hi, double *lo)
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (iiwa_position_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> IIWA_POSITION_FRACTION_BITS)
+                > (iiwa_position_magnitude(*hi) >> IIWA_POSITION_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             iiwa_position_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,20 +275,22 @@ static inline int iiwa_position_reduce(double x, double *hi, double *lo)
 static double iiwa_position_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double iiwa_position_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct iiwa_position_pair {
     double sin, cos;
 } iiwa_position_pair;
 
@@ -260,59 +317,54 @@ static iiwa_position_pair iiwa_position_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define IIWA_POSITION_APART __attribute__((noinline))
-#else
-#define IIWA_POSITION_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from IIWA_POSITION_EXPONENT_MIN to IIWA_POSITION_EXPONENT_MAX, by writing its exponent. */
 static double iiwa_position_power(int k)
 {
     iiwa_position_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + IIWA_POSITION_EXPONENT_BIAS) << IIWA_POSITION_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double iiwa_position_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= IIWA_POSITION_EXPONENT_MIN && k <= IIWA_POSITION_EXPONENT_MAX) {
         return x * iiwa_position_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= iiwa_position_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > IIWA_POSITION_EXPONENT_MAX; ++step) {
+        x *= iiwa_position_power(IIWA_POSITION_EXPONENT_MAX);
+        k -= IIWA_POSITION_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= iiwa_position_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < IIWA_POSITION_EXPONENT_MIN; ++step) {
+        x *= iiwa_position_power(IIWA_POSITION_EXPONENT_MIN + IIWA_POSITION_FRACTION_BITS + 1);
+        k -= IIWA_POSITION_EXPONENT_MIN + IIWA_POSITION_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > IIWA_POSITION_EXPONENT_MAX) {
+        k = IIWA_POSITION_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < IIWA_POSITION_EXPONENT_MIN) {
+        k = IIWA_POSITION_EXPONENT_MIN;
     }
     return x * iiwa_position_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; IIWA_POSITION_NO_EXPONENT for zero. */
 static int iiwa_position_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return IIWA_POSITION_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < IIWA_POSITION_SMALLEST_NORMAL) {
         iiwa_position_word word;
         word.bits = magnitude;
-        magnitude = iiwa_position_magnitude(word.value * iiwa_position_power(64));
-        lift = 64;
+        magnitude = iiwa_position_magnitude(word.value * iiwa_position_power(IIWA_POSITION_SUBNORMAL_LIFT));
+        lift = IIWA_POSITION_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> IIWA_POSITION_FRACTION_BITS) - IIWA_POSITION_EXPONENT_BIAS - lift;
 }
 
 static double iiwa_position_abs(double x)
@@ -320,92 +372,95 @@ static double iiwa_position_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t iiwa_position_biased(double x)
 {
     iiwa_position_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (IIWA_POSITION_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t iiwa_position_biased_square(double square)
 {
     iiwa_position_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> IIWA_POSITION_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int iiwa_position_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define IIWA_POSITION_NEAR
-#define IIWA_POSITION_WRITTEN_OUT
+#define IIWA_POSITION_INLINE_WITH_VECTORS
+#define IIWA_POSITION_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define IIWA_POSITION_NEAR inline __attribute__((always_inline))
-#define IIWA_POSITION_WRITTEN_OUT
+#define IIWA_POSITION_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define IIWA_POSITION_UNROLL
 #elif defined(__clang__)
-#define IIWA_POSITION_NEAR
-#define IIWA_POSITION_WRITTEN_OUT /* it does so by itself */
+#define IIWA_POSITION_INLINE_WITH_VECTORS
+#define IIWA_POSITION_UNROLL /* clang writes such loops out by itself */
 #else
-#define IIWA_POSITION_NEAR
-#define IIWA_POSITION_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define IIWA_POSITION_INLINE_WITH_VECTORS
+#define IIWA_POSITION_UNROLL _Pragma("GCC unroll 12")
 #endif
 
 static const double iiwa_position_last[4] = { 0.0, 1.0, 1.0, 1.0 };
 
 /* From 7 numbers to 8: the last block of four is that of the last four numbers, its first 1 made zero.
-   Blocks are loaded and stored whole: a number stored alone would stall the vector that is read over it. */
-static IIWA_POSITION_NEAR void iiwa_position_spread(const double *restrict v, double factor, double *restrict w)
+   Blocks are loaded and stored whole: a vector that is read where a single number was just stored has to wait for
+   it. */
+static IIWA_POSITION_INLINE_WITH_VECTORS void iiwa_position_spread(const double *restrict v, double factor,
+    double *restrict w)
 {
     int k;
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 0; k < 4; ++k) {
         w[k] = factor * v[k];
     }
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 0; k < 4; ++k) {
         w[4 + k] = factor * (iiwa_position_last[k] * v[3 + k]);
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static IIWA_POSITION_NEAR void iiwa_position_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static IIWA_POSITION_INLINE_WITH_VECTORS void iiwa_position_gather(const double *restrict w, double *restrict v)
 {
     int k;
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 0; k < 4; ++k) {
         v[k] = w[k];
     }
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 4; k < 7; ++k) {
         v[k] = w[k + 1];
     }
 }
 
-/* a b, in four sums that a machine with vectors and one without add up alike. */
-static IIWA_POSITION_NEAR double iiwa_position_inner(const double *a, const double *b)
+/* The inner product in four sums, which a machine with vectors and one without add up in the same order: same bits. */
+static IIWA_POSITION_INLINE_WITH_VECTORS double iiwa_position_inner(const double *a, const double *b)
 {
     double sum[4];
     int k;
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-typedef struct {
+typedef struct iiwa_position_normal {
     double lower[3]; /* L below its unit diagonal, row by row */
     double inverse[3]; /* 1 / D */
 } iiwa_position_normal;
@@ -413,8 +468,8 @@ typedef struct {
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-14, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-14, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
 {
     const double g_0_0 = iiwa_position_inner(B, B);
@@ -429,11 +484,16 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     double v_1_0, l_1_0, n_1_0;
     double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     double bound;
-    if (!iiwa_position_within(iiwa_position_biased_square(g_0_0), 926, 1523) || !iiwa_position_within(iiwa_position_biased_square(g_1_1), 926, 1523) || !iiwa_position_within(iiwa_position_biased_square(g_2_2), 523, 1523)) {
+    if (!iiwa_position_within(iiwa_position_biased_square(g_0_0), IIWA_POSITION_SQUARE_LOW_0,
+            IIWA_POSITION_SQUARE_HIGH_0)
+            || !iiwa_position_within(iiwa_position_biased_square(g_1_1), IIWA_POSITION_SQUARE_LOW_1,
+            IIWA_POSITION_SQUARE_HIGH_1)
+            || !iiwa_position_within(iiwa_position_biased_square(g_2_2), IIWA_POSITION_SQUARE_LOW_2,
+            IIWA_POSITION_SQUARE_HIGH_2)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > IIWA_POSITION_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
@@ -442,14 +502,14 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     v_2_0 = g_2_0;
     l_2_0 = v_2_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > IIWA_POSITION_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > IIWA_POSITION_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0 / d_2;
@@ -459,7 +519,7 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= IIWA_POSITION_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -486,15 +546,16 @@ static void iiwa_position_normal_solve(const iiwa_position_normal *f, const doub
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct iiwa_position_line {
     double p[8];
     double l[3];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } iiwa_position_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct iiwa_position_qr {
     iiwa_position_line line[3];
     iiwa_position_line *at[3];
     double left[3];    /* squared length of at[k]->p */
@@ -505,7 +566,8 @@ typedef struct {
 } iiwa_position_qr;
 
 /* rest -= along pivot, its squared length. */
-static IIWA_POSITION_NEAR double iiwa_position_take_out(double *restrict rest, const double *restrict pivot, double along)
+static IIWA_POSITION_INLINE_WITH_VECTORS double iiwa_position_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -542,7 +604,7 @@ static void iiwa_position_qr_reduce(iiwa_position_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= IIWA_POSITION_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -575,8 +637,8 @@ static void iiwa_position_qr_factor(const double *B, iiwa_position_qr *f)
     iiwa_position_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int iiwa_position_qr_certified(const iiwa_position_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -595,7 +657,7 @@ static int iiwa_position_qr_certified(const iiwa_position_qr *f)
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
-    return bound * total < 1.4487435431179765e+28;
+    return bound * total < IIWA_POSITION_QR_LIMIT;
 }
 
 static double iiwa_position_short(const double *a, const double *b)
@@ -615,9 +677,10 @@ static void iiwa_position_rotate(double *restrict a, double *restrict b, double 
     }
 }
 
-/* One-sided Jacobi (Hestenes; order after de Rijk 1989; on the triangle of a pivoted QR after Drmac and Veselic 2008):
-   rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+/* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 7 did not do. */
 static int iiwa_position_jacobi(double *t, int count, double *square)
 {
@@ -627,8 +690,8 @@ static int iiwa_position_jacobi(double *t, int count, double *square)
         square[i] = iiwa_position_short(t + 3 * i, t + 3 * i);
         least += square[i];
     }
-    least *= 4.930380657631324e-32;
-    for (sweep = 1; sweep <= 7; ++sweep) {
+    least *= IIWA_POSITION_NEGLIGIBLE;
+    for (sweep = 1; sweep <= IIWA_POSITION_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             double *const a = t + 3 * i;
@@ -653,20 +716,21 @@ static int iiwa_position_jacobi(double *t, int count, double *square)
                 const double product = square[i] * square[j];
                 const double gap = square[i] - square[j];
                 double h, c, s;
-                if (inner * inner <= 8.628166150854818e-32 * product) {
+                if (inner * inner <= IIWA_POSITION_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 1.4914401489334754e-30 * product) { /* more than rounding can bring back */
+                if (inner * inner > IIWA_POSITION_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = iiwa_position_sqrt(gap * gap + 4.0 * inner * inner);
                 c = iiwa_position_sqrt(0.5 + 0.5 * (iiwa_position_abs(gap) / h));
                 s = gap < 0.0 ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0 + c));
                 s /= h;
@@ -682,8 +746,8 @@ static int iiwa_position_jacobi(double *t, int count, double *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int iiwa_position_svd(const iiwa_position_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -712,9 +776,9 @@ static int iiwa_position_svd(const iiwa_position_qr *f, double *left, double *si
     return sweeps;
 }
 
-typedef struct {
+typedef struct iiwa_position_factors {
     double B[24];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[3];   /* -16384 where a row counts as zero */
+    int exponent[3];   /* IIWA_POSITION_NO_EXPONENT where a row counts as zero */
     iiwa_position_normal normal;
     iiwa_position_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -736,9 +800,10 @@ static const double iiwa_position_atol[3] = {
     0.0
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void iiwa_position_undo_scaling(iiwa_position_factors *f, int top)
 {
     double F[9]; /* column k in F + 3 k; reflections below the diagonal, R above */
@@ -756,7 +821,7 @@ static void iiwa_position_undo_scaling(iiwa_position_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 3; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[3 * k + i] = exponent == -16384 ? 0.0 :
+            F[3 * k + i] = exponent == IIWA_POSITION_NO_EXPONENT ? 0.0 :
                 iiwa_position_shift(f->left[3 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -833,18 +898,19 @@ static void iiwa_position_undo_scaling(iiwa_position_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is IIWA_POSITION_NO_EXPONENT. */
 static void iiwa_position_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 3; ++i) {
         const double *const row = S + 7 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -IIWA_POSITION_EXPONENT_MAX && exponent[i] <= -IIWA_POSITION_EXPONENT_MIN) {
             iiwa_position_spread(row, iiwa_position_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[7];
             for (j = 0; j < 7; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : iiwa_position_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == IIWA_POSITION_NO_EXPONENT
+                    ? 0.0 : iiwa_position_shift(row[j], -exponent[i]);
             }
             iiwa_position_spread(shifted, 1.0, B + 8 * i);
         }
@@ -907,8 +973,10 @@ static void iiwa_position_vectors(iiwa_position_factors *f, const double *u)
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static IIWA_POSITION_APART int iiwa_position_factorise_svd(const double *S, iiwa_position_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static IIWA_POSITION_NOINLINE int iiwa_position_factorise_svd(const double *S, iiwa_position_factors *f, int top,
+    int bottom)
 {
     double u[9];
     int i;
@@ -918,7 +986,7 @@ static IIWA_POSITION_APART int iiwa_position_factorise_svd(const double *S, iiwa
     }
     f->rank = 0;
     for (i = 0; i < 3; ++i) {
-        f->rank += f->sigma[i] > 1.5543122344752192e-15 * f->sigma[0];
+        f->rank += f->sigma[i] > IIWA_POSITION_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 3;
     if (!f->direct) {
@@ -926,7 +994,7 @@ static IIWA_POSITION_APART int iiwa_position_factorise_svd(const double *S, iiwa
         if (f->rank > 0 && bottom != top) {
             iiwa_position_undo_scaling(f, top);
             for (i = 0; i < 3; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == IIWA_POSITION_NO_EXPONENT ? IIWA_POSITION_NO_EXPONENT : top;
             }
             iiwa_position_scale(S, f->exponent, f->B);
         }
@@ -935,19 +1003,19 @@ static IIWA_POSITION_APART int iiwa_position_factorise_svd(const double *S, iiwa
 }
 
 /* The ladder, from the step `from` on. */
-static IIWA_POSITION_APART int iiwa_position_factorise(const double *S, iiwa_position_factors *f, int from)
+static IIWA_POSITION_NOINLINE int iiwa_position_factorise(const double *S, iiwa_position_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = IIWA_POSITION_NO_EXPONENT;
+    int bottom = -IIWA_POSITION_NO_EXPONENT;
     int i;
     for (i = 0; i < 3; ++i) {
         iiwa_position_word word;
         word.bits = iiwa_position_largest(S + 7 * i, 7);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= IIWA_POSITION_INFINITY_BITS) {
             return IIWA_POSITION_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = IIWA_POSITION_NO_EXPONENT;
         if (word.value > iiwa_position_atol[i]) {
             f->exponent[i] = iiwa_position_length(S + 7 * i, iiwa_position_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -980,7 +1048,7 @@ static IIWA_POSITION_APART int iiwa_position_factorise(const double *S, iiwa_pos
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static IIWA_POSITION_APART double iiwa_position_sigma_min(const double *S, iiwa_position_factors *f)
+static IIWA_POSITION_NOINLINE double iiwa_position_sigma_min(const double *S, iiwa_position_factors *f)
 {
     const uint64_t magnitude = iiwa_position_largest(S, 21);
     const int top = magnitude == 0 ? 0 : iiwa_position_exponent(magnitude);
@@ -997,12 +1065,12 @@ static IIWA_POSITION_APART double iiwa_position_sigma_min(const double *S, iiwa_
     return iiwa_position_shift(f->sigma[2], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int iiwa_position_refuse(int status, iiwa_position_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = IIWA_POSITION_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -1011,17 +1079,19 @@ static int iiwa_position_refuse(int status, iiwa_position_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.24e-14 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= IIWA_POSITION_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int iiwa_position_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int iiwa_position_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = iiwa_position_exponent(iiwa_position_largest(tau, 7));
     double t[7], rest[3];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[3];
-    int top = -16384;
+    int top = IIWA_POSITION_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -1029,9 +1099,9 @@ static int iiwa_position_consistent(const double *S, const double *z, const doub
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 7; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : iiwa_position_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == IIWA_POSITION_NO_EXPONENT ? 0.0 : iiwa_position_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != IIWA_POSITION_NO_EXPONENT) {
             const double yj = iiwa_position_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -1041,17 +1111,18 @@ static int iiwa_position_consistent(const double *S, const double *z, const doub
         const double *const row = S + 7 * i;
         const int row_unit = iiwa_position_exponent(iiwa_position_largest(row, 7));
         const int z_unit = iiwa_position_exponent(iiwa_position_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == IIWA_POSITION_NO_EXPONENT || tau_unit == IIWA_POSITION_NO_EXPONENT
+            ? IIWA_POSITION_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == IIWA_POSITION_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != IIWA_POSITION_NO_EXPONENT) {
             for (j = 0; j < 7; ++j) {
                 const double s = iiwa_position_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -1061,27 +1132,29 @@ static int iiwa_position_consistent(const double *S, const double *z, const doub
         }
         target = iiwa_position_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.2434497875801753e-14 * (scale * iiwa_position_sqrt(square) * norm + (target < 0.0 ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += iiwa_position_shift(iiwa_position_atol[i], tau_unit - unit[i]) * norm * 2.6457513110645907;
+        allowed = IIWA_POSITION_CONSISTENCY
+            * (scale * iiwa_position_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != IIWA_POSITION_NO_EXPONENT) {
+            allowed += iiwa_position_shift(iiwa_position_atol[i], tau_unit - unit[i]) * norm * IIWA_POSITION_ROOT_L;
         }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 3; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != IIWA_POSITION_NO_EXPONENT) {
             rest[i] = iiwa_position_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : iiwa_position_shift(iiwa_position_sqrt(norm), top);
+    *residual = top == IIWA_POSITION_NO_EXPONENT ? 0.0 : iiwa_position_shift(iiwa_position_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void iiwa_position_qr_apply(const iiwa_position_qr *f, const double *restrict r, double *restrict x, int careful)
+static void iiwa_position_qr_apply(const iiwa_position_qr *f, const double *restrict r, double *restrict x,
+    int careful)
 {
     const iiwa_position_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -1103,19 +1176,21 @@ static void iiwa_position_qr_apply(const iiwa_position_qr *f, const double *rest
 }
 
 /* x = S+ r from the normal equations. */
-static void iiwa_position_normal_apply(const iiwa_position_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void iiwa_position_normal_apply(const iiwa_position_normal *f, const double *B, const double *restrict r,
+    double *restrict x)
 {
     double w[3];
     int j;
     iiwa_position_normal_solve(f, r, w);
-    IIWA_POSITION_WRITTEN_OUT
+    IIWA_POSITION_UNROLL
     for (j = 0; j < 8; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16];
     }
 }
 
 /* r = z - B t. */
-static IIWA_POSITION_NEAR void iiwa_position_residual(const double *B, const double *z, const double *t, double *restrict r)
+static IIWA_POSITION_INLINE_WITH_VECTORS void iiwa_position_residual(const double *B, const double *z, const double *t,
+    double *restrict r)
 {
     r[0] = z[0] - iiwa_position_inner(B, t);
     r[1] = z[1] - iiwa_position_inner(B + 8, t);
@@ -1150,14 +1225,16 @@ static void iiwa_position_apply(const iiwa_position_factors *f, const double *r,
     }
 }
 
-static IIWA_POSITION_APART int iiwa_position_solve_scaled(const double *S, const double *z, const double *y, double *tau, iiwa_position_info *info, int from)
+static IIWA_POSITION_NOINLINE int iiwa_position_solve_scaled(const double *S, const double *z, const double *y,
+    double *tau, iiwa_position_info *info, int from)
 {
     iiwa_position_factors f;
     double zs[3], ys[8], r[3], x[8], answer[7];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = IIWA_POSITION_NO_EXPONENT;
     int status, i, j;
-    if (iiwa_position_largest(z, 3) >= UINT64_C(0x7ff0000000000000) || (y != NULL && iiwa_position_largest(y, 7) >= UINT64_C(0x7ff0000000000000))) {
+    if (iiwa_position_largest(z, 3) >= IIWA_POSITION_INFINITY_BITS
+            || (y != NULL && iiwa_position_largest(y, 7) >= IIWA_POSITION_INFINITY_BITS)) {
         return iiwa_position_refuse(IIWA_POSITION_NONFINITE, info);
     }
     status = iiwa_position_factorise(S, &f, from);
@@ -1170,18 +1247,19 @@ static IIWA_POSITION_APART int iiwa_position_solve_scaled(const double *S, const
     }
     for (i = 0; i < 3; ++i) {
         const int own = iiwa_position_exponent(iiwa_position_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != IIWA_POSITION_NO_EXPONENT && own != IIWA_POSITION_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == IIWA_POSITION_NO_EXPONENT) {
         unit = 0;
     }
     for (j = 0; j < 8; ++j) {
         ys[j] = 0.0;
     }
     for (i = 0; i < 3; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : iiwa_position_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == IIWA_POSITION_NO_EXPONENT ? 0.0 : iiwa_position_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 7; ++j) {
         ys[(j < 4 ? j : j + 1)] = y == NULL ? 0.0 : iiwa_position_shift(y[j], -unit);
@@ -1203,7 +1281,7 @@ static IIWA_POSITION_APART int iiwa_position_solve_scaled(const double *S, const
             answer[j] += iiwa_position_shift(x[(j < 4 ? j : j + 1)], unit);
         }
     }
-    if (iiwa_position_largest(answer, 7) >= UINT64_C(0x7ff0000000000000)) {
+    if (iiwa_position_largest(answer, 7) >= IIWA_POSITION_INFINITY_BITS) {
         return iiwa_position_refuse(IIWA_POSITION_OVERFLOW, info);
     }
     if (f.rank < 3 || info != NULL) {
@@ -1226,7 +1304,8 @@ static IIWA_POSITION_APART int iiwa_position_solve_scaled(const double *S, const
     return status;
 }
 
-static IIWA_POSITION_APART void iiwa_position_report(const double *S, const double *z, const double *y, const double *tau, int path, iiwa_position_info *info)
+static IIWA_POSITION_NOINLINE void iiwa_position_report(const double *S, const double *z, const double *y,
+    const double *tau, int path, iiwa_position_info *info)
 {
     iiwa_position_factors f;
     (void)iiwa_position_consistent(S, z, y, tau, &info->residual);
@@ -1239,7 +1318,8 @@ static IIWA_POSITION_APART void iiwa_position_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static IIWA_POSITION_NEAR void iiwa_position_correct(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
+static IIWA_POSITION_INLINE_WITH_VECTORS void iiwa_position_correct(const iiwa_position_normal *normal,
+    const iiwa_position_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         iiwa_position_qr_apply(qr, r, x, careful);
@@ -1249,7 +1329,8 @@ static IIWA_POSITION_NEAR void iiwa_position_correct(const iiwa_position_normal 
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *normal, const iiwa_position_qr *qr, const double *S, const double *B,
+static IIWA_POSITION_INLINE_WITH_VECTORS int iiwa_position_answer(const iiwa_position_normal *normal,
+    const iiwa_position_qr *qr, const double *S, const double *B,
     const double *z, const double *y, double *tau, iiwa_position_info *info)
 {
     double r[3], x[8], step[8];
@@ -1274,7 +1355,8 @@ static IIWA_POSITION_NEAR int iiwa_position_answer(const iiwa_position_normal *n
     for (j = 0; j < 8; ++j) {
         x[j] += step[j];
     }
-    if (!iiwa_position_within(iiwa_position_biased_square(iiwa_position_inner(x, x)), 23, 1923)) {
+    if (!iiwa_position_within(iiwa_position_biased_square(iiwa_position_inner(x, x)), IIWA_POSITION_ANSWER_LOW,
+            IIWA_POSITION_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
@@ -1293,10 +1375,10 @@ static int iiwa_position_qr_scaled(const double *B, iiwa_position_qr *f)
     int i, j;
     for (i = 0; i < 3; ++i) {
         f->left[i] = iiwa_position_inner(B + 8 * i, B + 8 * i);
-        exponent[i] = (iiwa_position_biased(f->left[i]) + 1023) / 2; /* of the length */
+        exponent[i] = (iiwa_position_biased(f->left[i]) + IIWA_POSITION_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 3; ++i) {
-        const double unit = iiwa_position_power(1023 - (int)exponent[i]);
+        const double unit = iiwa_position_power(IIWA_POSITION_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 8; ++j) {
             f->line[i].p[j] = unit * B[8 * i + j];
         }
@@ -1308,7 +1390,8 @@ static int iiwa_position_qr_scaled(const double *B, iiwa_position_qr *f)
     return iiwa_position_qr_certified(f);
 }
 
-static IIWA_POSITION_APART int iiwa_position_solve_qr(const double *S, const double *z, const double *y, double *tau, iiwa_position_info *info)
+static IIWA_POSITION_NOINLINE int iiwa_position_solve_qr(const double *S, const double *z, const double *y,
+    double *tau, iiwa_position_info *info)
 {
     iiwa_position_qr f;
     double B[24];
@@ -1322,7 +1405,8 @@ static IIWA_POSITION_APART int iiwa_position_solve_qr(const double *S, const dou
     return iiwa_position_solve_scaled(S, z, y, tau, info, IIWA_POSITION_PATH_QR);
 }
 
-static int iiwa_position_solve_core(const double *S, const double *z, const double *y, double *tau, iiwa_position_info *info)
+static int iiwa_position_solve_core(const double *S, const double *z, const double *y, double *tau,
+    iiwa_position_info *info)
 {
     iiwa_position_normal f;
     int held;
@@ -1342,7 +1426,7 @@ static int iiwa_position_solve_core(const double *S, const double *z, const doub
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static IIWA_POSITION_APART int iiwa_position_pinv_core(const double *S, double *S_pinv, iiwa_position_info *info)
+static IIWA_POSITION_NOINLINE int iiwa_position_pinv_core(const double *S, double *S_pinv, iiwa_position_info *info)
 {
     iiwa_position_factors f;
     double unit[3], x[8], answer[21];
@@ -1355,7 +1439,7 @@ static IIWA_POSITION_APART int iiwa_position_pinv_core(const double *S, double *
         unit[i] = 0.0;
     }
     for (i = 0; i < 3; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == IIWA_POSITION_NO_EXPONENT;
         unit[i] = 1.0;
         iiwa_position_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1363,7 +1447,7 @@ static IIWA_POSITION_APART int iiwa_position_pinv_core(const double *S, double *
             answer[3 * j + i] = zero_row ? 0.0 : iiwa_position_shift(x[(j < 4 ? j : j + 1)], -f.exponent[i]);
         }
     }
-    if (iiwa_position_largest(answer, 21) >= UINT64_C(0x7ff0000000000000)) {
+    if (iiwa_position_largest(answer, 21) >= IIWA_POSITION_INFINITY_BITS) {
         return iiwa_position_refuse(IIWA_POSITION_OVERFLOW, info);
     }
     status = f.rank < 3 ? IIWA_POSITION_RANK_DEFICIENT_CONSISTENT : IIWA_POSITION_OK;
@@ -1381,7 +1465,7 @@ static IIWA_POSITION_APART int iiwa_position_pinv_core(const double *S, double *
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void iiwa_position_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1392,10 +1476,11 @@ static void iiwa_position_copy(const double *from, double *to, int n)
 
 static int iiwa_position_finite(const double *x, int n)
 {
-    return iiwa_position_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return iiwa_position_largest(x, n) < IIWA_POSITION_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* IIWA_POSITION_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
+   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int iiwa_position_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1410,7 +1495,7 @@ static int iiwa_position_mass_status(const double *pivot, const double *scale, i
     return IIWA_POSITION_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int iiwa_position_input_finite(const iiwa_position_input *in)
 {
     return iiwa_position_finite(in->q, 7)
@@ -1420,17 +1505,8 @@ static int iiwa_position_input_finite(const iiwa_position_input *in)
            && iiwa_position_finite(in->r_ddot, 3);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define IIWA_POSITION_COLD __attribute__((noinline, cold))
-#define IIWA_POSITION_SMALL inline __attribute__((always_inline))
-#else
-#define IIWA_POSITION_COLD
-#define IIWA_POSITION_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static IIWA_POSITION_COLD int iiwa_position_reason(int status, const iiwa_position_input *in)
 {
     if (!iiwa_position_input_finite(in)) {
@@ -1442,6 +1518,7 @@ static IIWA_POSITION_COLD int iiwa_position_reason(int status, const iiwa_positi
 static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
 {
     (void)model;
+    /* towards psi */
     const iiwa_position_pair t0 = iiwa_position_sincos(in->q[5]);
     const iiwa_position_pair t1 = iiwa_position_sincos(in->q[3]);
     const iiwa_position_pair t2 = iiwa_position_sincos(in->q[1]);
@@ -1528,16 +1605,21 @@ static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_
 }
 
 
-static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *mass_pivot, double *mass_scale)
+static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
+    double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards S, pivots of Q */
     const iiwa_position_pair t0 = iiwa_position_sincos(in->q[5]);
     const iiwa_position_pair t1 = iiwa_position_sincos(in->q[3]);
     const iiwa_position_pair t2 = iiwa_position_sincos(in->q[1]);
+    /* towards S */
     const iiwa_position_pair t3 = iiwa_position_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S, pivots of Q */
     const iiwa_position_pair t6 = iiwa_position_sincos(in->q[2]);
+    /* towards S */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -1547,7 +1629,9 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S, pivots of Q */
     const iiwa_position_pair t16 = iiwa_position_sincos(in->q[4]);
+    /* towards S */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -1589,6 +1673,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t55 = t53 + t54;
     const double t56 = 0.42 * t32;
     const double t57 = t55 + t56;
+    /* towards S, pivots of Q */
     const double t58 = t1.cos * t2.cos;
     const double t59 = t2.sin * t6.cos;
     const double t60 = t1.sin * t59;
@@ -1598,17 +1683,21 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t64 = t1.sin * t2.cos;
     const double t65 = t64 - t62;
     const double t66 = t16.cos * t65;
+    /* towards S */
     const double t67 = t16.sin * t65;
+    /* towards S, pivots of Q */
     const double t68 = t2.sin * t6.sin;
     const double t69 = t16.sin * t68;
     const double t70 = t66 + t69;
     const double t71 = t0.sin * t70;
     const double t72 = t63 + t71;
+    /* towards S */
     const double t73 = 0.081 * t72;
     const double t74 = 0.4 * t61;
     const double t75 = t73 + t74;
     const double t76 = t2.cos * 0.42;
     const double t77 = t75 + t76;
+    /* towards S, pivots of Q */
     const double t78 = t0.cos * 0.012552;
     const double t79 = -0.008760948 - t78;
     const double t80 = t16.sin * t79;
@@ -1650,6 +1739,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t116 = t98 - t115;
     const double t117 = t114 * 114.14289869087227;
     const double t118 = t114 * t117;
+    /* towards S */
     const double t119 = t16.cos * t68;
     const double t120 = t67 - t119;
     const double t121 = t53 * t120;
@@ -1666,6 +1756,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t132 = t3.cos * t77;
     const double t133 = t3.cos * t31;
     const double t134 = t130 + t133;
+    /* towards S, pivots of Q */
     const double t135 = t0.cos * 0.005460948;
     const double t136 = t0.cos * t135;
     const double t137 = 0.012552 + t135;
@@ -1717,6 +1808,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t183 = 1.0 / t182;
     const double t184 = t179 * t183;
     const double t185 = t179 * t184;
+    /* towards S */
     const double t186 = t40 * t73;
     const double t187 = t26 * t40;
     const double t188 = t26 * t61;
@@ -1726,6 +1818,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t192 = t190 + t191;
     const double t193 = t184 * t192;
     const double t194 = t129 + t193;
+    /* towards S, pivots of Q */
     const double t195 = t141 - 0.006199988;
     const double t196 = t16.cos * t195;
     const double t197 = t101 + t101;
@@ -1740,8 +1833,10 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t206 = t203 + 0.0188212;
     const double t207 = t0.sin * t16.sin;
     const double t208 = t0.sin * t16.cos;
+    /* towards S */
     const double t209 = t18 * t16.cos;
     const double t210 = t209 + t27;
+    /* towards S, pivots of Q */
     const double t211 = t1.sin * t201;
     const double t212 = t1.cos * t201;
     const double t213 = t151 + 0.0061506;
@@ -1787,6 +1882,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t253 = 1.0 / t252;
     const double t254 = t247 * t253;
     const double t255 = t247 * t254;
+    /* towards S */
     const double t256 = t55 * t68;
     const double t257 = t29 * t68;
     const double t258 = t48 * t75;
@@ -1798,6 +1894,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t264 = t262 - t263;
     const double t265 = t254 * t264;
     const double t266 = t194 + t265;
+    /* towards S, pivots of Q */
     const double t267 = t205 - t233;
     const double t268 = t1.cos * t267;
     const double t269 = t268 - t154;
@@ -1847,6 +1944,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t313 = 1.0 / t312;
     const double t314 = t305 * t313;
     const double t315 = t305 * t314;
+    /* towards S */
     const double t316 = t32 * t75;
     const double t317 = t29 * t32;
     const double t318 = t2.cos * t29;
@@ -1860,6 +1958,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t326 = t324 - t325;
     const double t327 = t314 * t326;
     const double t328 = t266 + t327;
+    /* towards S, pivots of Q */
     const double t329 = t274 - t206;
     const double t330 = t6.cos * t329;
     const double t331 = t6.sin * t217;
@@ -1927,6 +2026,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t393 = t373 * t392;
     const double t394 = t373 * t393;
     const double t395 = t388 - t394;
+    /* towards S */
     const double t396 = t126 * t350;
     const double t397 = t132 - t396;
     const double t398 = 114.14289869087227 * t126;
@@ -1978,6 +2078,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t444 = t424 * t207;
     const double t445 = t0.cos * t432;
     const double t446 = t444 - t445;
+    /* towards S, pivots of Q */
     const double t447 = t1.sin * t208;
     const double t448 = t1.cos * t208;
     const double t449 = t0.cos * t1.cos;
@@ -1986,6 +2087,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t452 = t448 - t451;
     const double t453 = t6.sin * t452;
     const double t454 = t453 + t344;
+    /* towards S */
     const double t455 = t418 * t450;
     const double t456 = t446 - t455;
     const double t457 = t414 * t454;
@@ -2156,6 +2258,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     const double t622 = t621 + t616;
     const double t623 = t72 * t584;
     const double t624 = t622 - t623;
+    /* towards pivots of Q */
     const double t625 = t0.cos * 0.001;
     const double t626 = t0.cos * t625;
     const double t627 = t143 + t626;
@@ -2193,7 +2296,7 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     S[18] = t604;
     S[19] = t615;
     S[20] = t624;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t627;
     mass_pivot[1] = t252;
@@ -2207,16 +2310,21 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
 }
 
 
-static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z, double *mass_pivot, double *mass_scale)
+static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z,
+    double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards z, pivots of Q */
     const iiwa_position_pair t0 = iiwa_position_sincos(in->q[5]);
     const iiwa_position_pair t1 = iiwa_position_sincos(in->q[3]);
     const iiwa_position_pair t2 = iiwa_position_sincos(in->q[1]);
+    /* towards z */
     const iiwa_position_pair t3 = iiwa_position_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards z, pivots of Q */
     const iiwa_position_pair t6 = iiwa_position_sincos(in->q[2]);
+    /* towards z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -2226,7 +2334,9 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards z, pivots of Q */
     const iiwa_position_pair t16 = iiwa_position_sincos(in->q[4]);
+    /* towards z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -2272,6 +2382,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t59 = t57 + t58;
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards z, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -2281,12 +2392,15 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards z */
     const double t71 = t16.sin * t69;
+    /* towards z, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
@@ -2295,6 +2409,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t82 = t81 + 0.36;
     const double t83 = t82 - in->r[2];
     const double t84 = t83 * 100.0;
+    /* towards z, pivots of Q */
     const double t85 = t0.cos * 0.012552;
     const double t86 = -0.008760948 - t85;
     const double t87 = t16.sin * t86;
@@ -2336,6 +2451,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t123 = t105 - t122;
     const double t124 = t121 * 114.14289869087227;
     const double t125 = t121 * t124;
+    /* towards z */
     const double t126 = t16.cos * t72;
     const double t127 = t71 - t126;
     const double t128 = t55 * t127;
@@ -2345,6 +2461,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t132 = t128 - t131;
     const double t133 = t124 * t132;
     const double t134 = t59 + t133;
+    /* towards z, pivots of Q */
     const double t135 = t0.cos * 0.005460948;
     const double t136 = t0.cos * t135;
     const double t137 = 0.012552 + t135;
@@ -2396,6 +2513,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t183 = 1.0 / t182;
     const double t184 = t179 * t183;
     const double t185 = t179 * t184;
+    /* towards z */
     const double t186 = t42 * t77;
     const double t187 = t55 * t65;
     const double t188 = t186 - t187;
@@ -2404,6 +2522,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t191 = t188 * in->u[4];
     const double t192 = t184 * t190;
     const double t193 = t134 + t192;
+    /* towards z, pivots of Q */
     const double t194 = t141 - 0.006199988;
     const double t195 = t16.cos * t194;
     const double t196 = t108 + t108;
@@ -2461,6 +2580,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t248 = 1.0 / t247;
     const double t249 = t242 * t248;
     const double t250 = t242 * t249;
+    /* towards z */
     const double t251 = t57 * t72;
     const double t252 = t29 * t72;
     const double t253 = t50 * t79;
@@ -2473,6 +2593,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t260 = t257 - t259;
     const double t261 = t249 * t260;
     const double t262 = t193 + t261;
+    /* towards z, pivots of Q */
     const double t263 = t204 - t228;
     const double t264 = t1.cos * t263;
     const double t265 = t264 - t154;
@@ -2522,6 +2643,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t309 = 1.0 / t308;
     const double t310 = t301 * t309;
     const double t311 = t301 * t310;
+    /* towards z */
     const double t312 = t34 * t79;
     const double t313 = t29 * t34;
     const double t314 = t2.cos * t29;
@@ -2536,6 +2658,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t323 = t321 - t322;
     const double t324 = t310 * t323;
     const double t325 = t262 + t324;
+    /* towards z, pivots of Q */
     const double t326 = t270 - t205;
     const double t327 = t6.cos * t326;
     const double t328 = t6.sin * t212;
@@ -2602,6 +2725,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t389 = t370 * t388;
     const double t390 = t370 * t389;
     const double t391 = t387 - t390;
+    /* towards z */
     const double t392 = t3.cos * t81;
     const double t393 = t3.sin * t81;
     const double t394 = t3.sin * t59;
@@ -2623,6 +2747,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t410 = t408 - t409;
     const double t411 = t389 * t410;
     const double t412 = t325 + t411;
+    /* towards pivots of Q */
     const double t413 = t0.sin * t16.sin;
     const double t414 = t0.sin * t16.cos;
     const double t415 = t1.sin * t414;
@@ -2634,6 +2759,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t421 = t6.sin * t420;
     const double t422 = t6.cos * t413;
     const double t423 = t421 + t422;
+    /* towards z */
     const double t424 = t18 * t16.cos;
     const double t425 = t424 + t24;
     const double t426 = t77 * t425;
@@ -3202,6 +3328,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     const double t989 = t802 * t988;
     const double t990 = t971 - t989;
     const double t991 = (-t987) - t990;
+    /* towards pivots of Q */
     const double t992 = t0.cos * 0.001;
     const double t993 = t0.cos * t992;
     const double t994 = t143 + t993;
@@ -3221,7 +3348,7 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     z[0] = t965;
     z[1] = t981;
     z[2] = t991;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t994;
     mass_pivot[1] = t247;
@@ -3235,16 +3362,21 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
 }
 
 
-static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
+static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
+    double *z, double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards S, z, pivots of Q */
     const iiwa_position_pair t0 = iiwa_position_sincos(in->q[5]);
     const iiwa_position_pair t1 = iiwa_position_sincos(in->q[3]);
     const iiwa_position_pair t2 = iiwa_position_sincos(in->q[1]);
+    /* towards S, z */
     const iiwa_position_pair t3 = iiwa_position_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S, z, pivots of Q */
     const iiwa_position_pair t6 = iiwa_position_sincos(in->q[2]);
+    /* towards S, z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -3254,7 +3386,9 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S, z, pivots of Q */
     const iiwa_position_pair t16 = iiwa_position_sincos(in->q[4]);
+    /* towards S, z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -3270,8 +3404,10 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t29 = t27 + t28;
     const double t30 = t4 * 0.42;
     const double t31 = t29 + t30;
+    /* towards z */
     const double t32 = t31 - in->r[0];
     const double t33 = t32 * 100.0;
+    /* towards S, z */
     const double t34 = t2.sin * t3.sin;
     const double t35 = t1.cos * t34;
     const double t36 = t2.cos * t3.sin;
@@ -3298,8 +3434,10 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t57 = t55 + t56;
     const double t58 = 0.42 * t34;
     const double t59 = t57 + t58;
+    /* towards z */
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards S, z, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -3309,20 +3447,25 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards S, z */
     const double t71 = t16.sin * t69;
+    /* towards S, z, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards S, z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
     const double t80 = t2.cos * 0.42;
     const double t81 = t79 + t80;
+    /* towards z */
     const double t82 = t81 + 0.36;
     const double t83 = t82 - in->r[2];
     const double t84 = t83 * 100.0;
+    /* towards S, z, pivots of Q */
     const double t85 = t0.cos * 0.012552;
     const double t86 = -0.008760948 - t85;
     const double t87 = t16.sin * t86;
@@ -3364,6 +3507,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t123 = t105 - t122;
     const double t124 = t121 * 114.14289869087227;
     const double t125 = t121 * t124;
+    /* towards S, z */
     const double t126 = t16.cos * t72;
     const double t127 = t71 - t126;
     const double t128 = t55 * t127;
@@ -3373,6 +3517,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t132 = t128 - t131;
     const double t133 = t124 * t132;
     const double t134 = t59 + t133;
+    /* towards S, z, pivots of Q */
     const double t135 = t0.cos * 0.005460948;
     const double t136 = t0.cos * t135;
     const double t137 = 0.012552 + t135;
@@ -3424,14 +3569,18 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t183 = 1.0 / t182;
     const double t184 = t179 * t183;
     const double t185 = t179 * t184;
+    /* towards S, z */
     const double t186 = t42 * t77;
     const double t187 = t55 * t65;
     const double t188 = t186 - t187;
     const double t189 = t132 * t180;
     const double t190 = t188 + t189;
+    /* towards z */
     const double t191 = t188 * in->u[4];
+    /* towards S, z */
     const double t192 = t184 * t190;
     const double t193 = t134 + t192;
+    /* towards S, z, pivots of Q */
     const double t194 = t141 - 0.006199988;
     const double t195 = t16.cos * t194;
     const double t196 = t108 + t108;
@@ -3489,6 +3638,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t248 = 1.0 / t247;
     const double t249 = t242 * t248;
     const double t250 = t242 * t249;
+    /* towards S, z */
     const double t251 = t57 * t72;
     const double t252 = t29 * t72;
     const double t253 = t50 * t79;
@@ -3496,11 +3646,14 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t255 = t29 * t50;
     const double t256 = t132 * t238;
     const double t257 = t254 - t256;
+    /* towards z */
     const double t258 = t254 * in->u[3];
+    /* towards S, z */
     const double t259 = t190 * t245;
     const double t260 = t257 - t259;
     const double t261 = t249 * t260;
     const double t262 = t193 + t261;
+    /* towards S, z, pivots of Q */
     const double t263 = t204 - t228;
     const double t264 = t1.cos * t263;
     const double t265 = t264 - t154;
@@ -3550,6 +3703,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t309 = 1.0 / t308;
     const double t310 = t301 * t309;
     const double t311 = t301 * t310;
+    /* towards S, z */
     const double t312 = t34 * t79;
     const double t313 = t29 * t34;
     const double t314 = t2.cos * t29;
@@ -3557,13 +3711,16 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t316 = t312 - t315;
     const double t317 = t132 * t290;
     const double t318 = t316 - t317;
+    /* towards z */
     const double t319 = t316 * in->u[2];
+    /* towards S, z */
     const double t320 = t190 * t297;
     const double t321 = t318 - t320;
     const double t322 = t260 * t306;
     const double t323 = t321 - t322;
     const double t324 = t310 * t323;
     const double t325 = t262 + t324;
+    /* towards S, z, pivots of Q */
     const double t326 = t270 - t205;
     const double t327 = t6.cos * t326;
     const double t328 = t6.sin * t212;
@@ -3630,19 +3787,24 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t389 = t369 * t388;
     const double t390 = t369 * t389;
     const double t391 = t384 - t390;
+    /* towards S, z */
     const double t392 = t3.cos * t81;
     const double t393 = t3.sin * t81;
     const double t394 = t3.sin * t59;
     const double t395 = t3.cos * t31;
     const double t396 = t394 + t395;
+    /* towards z */
     const double t397 = t59 * in->u[0];
+    /* towards S, z */
     const double t398 = t132 * t346;
     const double t399 = t392 - t398;
+    /* towards z */
     const double t400 = t392 * in->u[1];
     const double t401 = t400 - t397;
     const double t402 = t401 + t319;
     const double t403 = t402 + t258;
     const double t404 = t403 + t191;
+    /* towards S, z */
     const double t405 = t190 * t356;
     const double t406 = t399 - t405;
     const double t407 = t260 * t364;
@@ -3651,6 +3813,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t410 = t408 - t409;
     const double t411 = t389 * t410;
     const double t412 = t325 + t411;
+    /* towards S */
     const double t413 = 1.0 / t391;
     const double t414 = t412 * t413;
     const double t415 = t388 * t410;
@@ -3689,25 +3852,32 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t448 = t124 * t414;
     const double t449 = t447 + t448;
     const double t450 = t76 * t414;
+    /* towards S, pivots of Q */
     const double t451 = t0.sin * t16.sin;
+    /* towards S */
     const double t452 = t429 * t451;
     const double t453 = t0.cos * t438;
     const double t454 = t452 - t453;
+    /* towards S, pivots of Q */
     const double t455 = t0.sin * t16.cos;
     const double t456 = t1.sin * t455;
     const double t457 = t1.cos * t455;
     const double t458 = t0.cos * t1.cos;
     const double t459 = t456 + t458;
+    /* towards S */
     const double t460 = t422 * t459;
     const double t461 = t454 - t460;
+    /* towards S, pivots of Q */
     const double t462 = t0.cos * t1.sin;
     const double t463 = t457 - t462;
     const double t464 = t6.sin * t463;
     const double t465 = t6.cos * t451;
     const double t466 = t464 + t465;
+    /* towards S */
     const double t467 = t417 * t466;
     const double t468 = t461 - t467;
     const double t469 = t468 + t450;
+    /* towards S, z */
     const double t470 = t18 * t16.cos;
     const double t471 = t470 + t24;
     const double t472 = t77 * t471;
@@ -3716,12 +3886,16 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t475 = t472 - t474;
     const double t476 = t124 * t475;
     const double t477 = t31 - t476;
+    /* towards z */
     const double t478 = t31 * in->u[0];
+    /* towards S, z */
     const double t479 = t27 * t65;
     const double t480 = t479 - t473;
     const double t481 = t180 * t475;
     const double t482 = t480 + t481;
+    /* towards z */
     const double t483 = t480 * in->u[4];
+    /* towards S, z */
     const double t484 = t184 * t482;
     const double t485 = t477 - t484;
     const double t486 = t18 * t79;
@@ -3734,14 +3908,18 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t493 = t492 - t313;
     const double t494 = t238 * t475;
     const double t495 = t487 + t494;
+    /* towards z */
     const double t496 = t487 * in->u[3];
+    /* towards S, z */
     const double t497 = t245 * t482;
     const double t498 = t495 + t497;
     const double t499 = t249 * t498;
     const double t500 = t485 + t499;
     const double t501 = t290 * t475;
     const double t502 = t489 - t501;
+    /* towards z */
     const double t503 = t489 * in->u[2];
+    /* towards S, z */
     const double t504 = t297 * t482;
     const double t505 = t502 - t504;
     const double t506 = t306 * t498;
@@ -3750,11 +3928,13 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t509 = t500 - t508;
     const double t510 = t346 * t475;
     const double t511 = t393 - t510;
+    /* towards z */
     const double t512 = t393 * in->u[1];
     const double t513 = t478 + t512;
     const double t514 = t513 + t503;
     const double t515 = t514 - t496;
     const double t516 = t515 + t483;
+    /* towards S, z */
     const double t517 = t356 * t482;
     const double t518 = t511 - t517;
     const double t519 = t364 * t498;
@@ -3763,6 +3943,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t522 = t520 - t521;
     const double t523 = t389 * t522;
     const double t524 = t509 - t523;
+    /* towards S */
     const double t525 = t413 * t524;
     const double t526 = t388 * t522;
     const double t527 = t389 * t525;
@@ -3808,6 +3989,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t567 = t565 + t566;
     const double t568 = t76 * t525;
     const double t569 = t567 + t568;
+    /* towards S, z */
     const double t570 = t27 * t130;
     const double t571 = t27 * t42;
     const double t572 = t55 * t471;
@@ -3816,35 +3998,50 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t575 = t574 - t571;
     const double t576 = t346 * t573;
     const double t577 = t396 + t576;
+    /* towards z */
     const double t578 = t396 * in->u[1];
+    /* towards S, z */
     const double t579 = t180 * t573;
     const double t580 = t575 + t579;
+    /* towards S */
     const double t581 = t183 * t580;
+    /* towards z */
     const double t582 = t575 * in->u[4];
+    /* towards S, z */
     const double t583 = t356 * t580;
     const double t584 = t577 + t583;
     const double t585 = t238 * t573;
     const double t586 = t491 - t585;
+    /* towards z */
     const double t587 = t491 * in->u[3];
+    /* towards S, z */
     const double t588 = t245 * t580;
     const double t589 = t586 - t588;
+    /* towards S */
     const double t590 = t248 * t589;
+    /* towards S, z */
     const double t591 = t364 * t589;
     const double t592 = t584 + t591;
     const double t593 = t290 * t573;
     const double t594 = t493 - t593;
+    /* towards z */
     const double t595 = t493 * in->u[2];
     const double t596 = t595 - t578;
     const double t597 = t596 + t587;
     const double t598 = t597 + t582;
+    /* towards S, z */
     const double t599 = t297 * t580;
     const double t600 = t594 - t599;
     const double t601 = t306 * t589;
     const double t602 = t600 - t601;
+    /* towards S */
     const double t603 = t309 * t602;
+    /* towards S, z */
     const double t604 = t385 * t602;
     const double t605 = t592 + t604;
+    /* towards S */
     const double t606 = t388 * t605;
+    /* towards S, z */
     const double t607 = t389 * t605;
     const double t608 = t124 * t573;
     const double t609 = t184 * t580;
@@ -3854,6 +4051,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t613 = t310 * t602;
     const double t614 = t612 + t613;
     const double t615 = t607 - t614;
+    /* towards S */
     const double t616 = t413 * t615;
     const double t617 = t389 * t616;
     const double t618 = t606 + t617;
@@ -3895,6 +4093,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t654 = t653 + t646;
     const double t655 = t76 * t616;
     const double t656 = t654 - t655;
+    /* towards z */
     const double t657 = t132 * in->u[5];
     const double t658 = t404 + t657;
     const double t659 = t658 - in->r_dot[0];
@@ -4366,6 +4565,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     const double t1125 = t938 * t1124;
     const double t1126 = t1107 - t1125;
     const double t1127 = (-t1123) - t1126;
+    /* towards pivots of Q */
     const double t1128 = t0.cos * 0.001;
     const double t1129 = t0.cos * t1128;
     const double t1130 = t143 + t1129;
@@ -4407,7 +4607,7 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     z[0] = t1101;
     z[1] = t1117;
     z[2] = t1127;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t1130;
     mass_pivot[1] = t247;
@@ -4421,16 +4621,21 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
 }
 
 
-static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *model, const iiwa_position_input *in, double *S_w, double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
+static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *model, const iiwa_position_input *in,
+    double *S_w, double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
 {
     (void)model;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_pair t0 = iiwa_position_sincos(in->q[5]);
     const iiwa_position_pair t1 = iiwa_position_sincos(in->q[3]);
     const iiwa_position_pair t2 = iiwa_position_sincos(in->q[1]);
+    /* towards S_w, z */
     const iiwa_position_pair t3 = iiwa_position_sincos(in->q[0]);
     const double t4 = t2.sin * t3.cos;
     const double t5 = t1.cos * t4;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_pair t6 = iiwa_position_sincos(in->q[2]);
+    /* towards S_w, z */
     const double t7 = t3.cos * t2.cos;
     const double t8 = t6.cos * t7;
     const double t9 = t7 * t6.sin;
@@ -4440,7 +4645,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t13 = t5 - t12;
     const double t14 = t1.cos * t11;
     const double t15 = t0.cos * t13;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const iiwa_position_pair t16 = iiwa_position_sincos(in->q[4]);
+    /* towards S_w, z */
     const double t17 = t6.cos * t3.sin;
     const double t18 = t17 + t9;
     const double t19 = t16.sin * t18;
@@ -4456,8 +4663,10 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t29 = t27 + t28;
     const double t30 = t4 * 0.42;
     const double t31 = t29 + t30;
+    /* towards z */
     const double t32 = t31 - in->r[0];
     const double t33 = t32 * 100.0;
+    /* towards S_w, z */
     const double t34 = t2.sin * t3.sin;
     const double t35 = t1.cos * t34;
     const double t36 = t2.cos * t3.sin;
@@ -4484,8 +4693,10 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t57 = t55 + t56;
     const double t58 = 0.42 * t34;
     const double t59 = t57 + t58;
+    /* towards z */
     const double t60 = t59 - in->r[1];
     const double t61 = t60 * 100.0;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t62 = t1.cos * t2.cos;
     const double t63 = t2.sin * t6.cos;
     const double t64 = t1.sin * t63;
@@ -4495,20 +4706,25 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t68 = t1.sin * t2.cos;
     const double t69 = t68 - t66;
     const double t70 = t16.cos * t69;
+    /* towards S_w, z */
     const double t71 = t16.sin * t69;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t72 = t2.sin * t6.sin;
     const double t73 = t16.sin * t72;
     const double t74 = t70 + t73;
     const double t75 = t0.sin * t74;
     const double t76 = t67 + t75;
+    /* towards S_w, z */
     const double t77 = 0.081 * t76;
     const double t78 = 0.4 * t65;
     const double t79 = t77 + t78;
     const double t80 = t2.cos * 0.42;
     const double t81 = t79 + t80;
+    /* towards z */
     const double t82 = t81 + 0.36;
     const double t83 = t82 - in->r[2];
     const double t84 = t83 * 100.0;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t85 = t0.cos * 0.012552;
     const double t86 = -0.008760948 - t85;
     const double t87 = t16.sin * t86;
@@ -4550,6 +4766,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t123 = t105 - t122;
     const double t124 = t121 * 114.14289869087227;
     const double t125 = t121 * t124;
+    /* towards S_w, z */
     const double t126 = t16.cos * t72;
     const double t127 = t71 - t126;
     const double t128 = t55 * t127;
@@ -4559,6 +4776,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t132 = t128 - t131;
     const double t133 = t124 * t132;
     const double t134 = t59 + t133;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t135 = t0.cos * 0.005460948;
     const double t136 = t0.cos * t135;
     const double t137 = 0.012552 + t135;
@@ -4610,14 +4828,18 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t183 = 1.0 / t182;
     const double t184 = t179 * t183;
     const double t185 = t179 * t184;
+    /* towards S_w, z */
     const double t186 = t42 * t77;
     const double t187 = t55 * t65;
     const double t188 = t186 - t187;
     const double t189 = t132 * t180;
     const double t190 = t188 + t189;
+    /* towards z */
     const double t191 = t188 * in->u[4];
+    /* towards S_w, z */
     const double t192 = t184 * t190;
     const double t193 = t134 + t192;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t194 = t141 - 0.006199988;
     const double t195 = t16.cos * t194;
     const double t196 = t108 + t108;
@@ -4675,6 +4897,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t248 = 1.0 / t247;
     const double t249 = t242 * t248;
     const double t250 = t242 * t249;
+    /* towards S_w, z */
     const double t251 = t57 * t72;
     const double t252 = t29 * t72;
     const double t253 = t50 * t79;
@@ -4682,11 +4905,14 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t255 = t29 * t50;
     const double t256 = t132 * t238;
     const double t257 = t254 - t256;
+    /* towards z */
     const double t258 = t254 * in->u[3];
+    /* towards S_w, z */
     const double t259 = t190 * t245;
     const double t260 = t257 - t259;
     const double t261 = t249 * t260;
     const double t262 = t193 + t261;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t263 = t204 - t228;
     const double t264 = t1.cos * t263;
     const double t265 = t264 - t154;
@@ -4736,6 +4962,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t309 = 1.0 / t308;
     const double t310 = t301 * t309;
     const double t311 = t301 * t310;
+    /* towards S_w, z */
     const double t312 = t34 * t79;
     const double t313 = t29 * t34;
     const double t314 = t2.cos * t29;
@@ -4743,13 +4970,16 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t316 = t312 - t315;
     const double t317 = t132 * t290;
     const double t318 = t316 - t317;
+    /* towards z */
     const double t319 = t316 * in->u[2];
+    /* towards S_w, z */
     const double t320 = t190 * t297;
     const double t321 = t318 - t320;
     const double t322 = t260 * t306;
     const double t323 = t321 - t322;
     const double t324 = t310 * t323;
     const double t325 = t262 + t324;
+    /* towards S_w, z, y_w, recover, pivots of Q */
     const double t326 = t270 - t205;
     const double t327 = t6.cos * t326;
     const double t328 = t6.sin * t212;
@@ -4816,19 +5046,24 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t389 = t370 * t388;
     const double t390 = t370 * t389;
     const double t391 = t387 - t390;
+    /* towards S_w, z */
     const double t392 = t3.cos * t81;
     const double t393 = t3.sin * t81;
     const double t394 = t3.sin * t59;
     const double t395 = t3.cos * t31;
     const double t396 = t394 + t395;
+    /* towards z */
     const double t397 = t59 * in->u[0];
+    /* towards S_w, z */
     const double t398 = t132 * t346;
     const double t399 = t392 - t398;
+    /* towards z */
     const double t400 = t392 * in->u[1];
     const double t401 = t400 - t397;
     const double t402 = t401 + t319;
     const double t403 = t402 + t258;
     const double t404 = t403 + t191;
+    /* towards S_w, z */
     const double t405 = t190 * t351;
     const double t406 = t399 - t405;
     const double t407 = t260 * t358;
@@ -4837,6 +5072,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t410 = t408 - t409;
     const double t411 = t389 * t410;
     const double t412 = t325 + t411;
+    /* towards y_w, recover, pivots of Q */
     const double t413 = t0.sin * t16.sin;
     const double t414 = t0.sin * t16.cos;
     const double t415 = t1.sin * t414;
@@ -4848,6 +5084,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t421 = t6.sin * t420;
     const double t422 = t6.cos * t413;
     const double t423 = t421 + t422;
+    /* towards S_w, z */
     const double t424 = t18 * t16.cos;
     const double t425 = t424 + t24;
     const double t426 = t77 * t425;
@@ -4856,12 +5093,16 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t429 = t426 - t428;
     const double t430 = t124 * t429;
     const double t431 = t31 - t430;
+    /* towards z */
     const double t432 = t31 * in->u[0];
+    /* towards S_w, z */
     const double t433 = t27 * t65;
     const double t434 = t433 - t427;
     const double t435 = t180 * t429;
     const double t436 = t434 + t435;
+    /* towards z */
     const double t437 = t434 * in->u[4];
+    /* towards S_w, z */
     const double t438 = t184 * t436;
     const double t439 = t431 - t438;
     const double t440 = t18 * t79;
@@ -4874,14 +5115,18 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t447 = t446 - t313;
     const double t448 = t238 * t429;
     const double t449 = t441 + t448;
+    /* towards z */
     const double t450 = t441 * in->u[3];
+    /* towards S_w, z */
     const double t451 = t245 * t436;
     const double t452 = t449 + t451;
     const double t453 = t249 * t452;
     const double t454 = t439 + t453;
     const double t455 = t290 * t429;
     const double t456 = t443 - t455;
+    /* towards z */
     const double t457 = t443 * in->u[2];
+    /* towards S_w, z */
     const double t458 = t297 * t436;
     const double t459 = t456 - t458;
     const double t460 = t306 * t452;
@@ -4890,11 +5135,13 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t463 = t454 - t462;
     const double t464 = t346 * t429;
     const double t465 = t393 - t464;
+    /* towards z */
     const double t466 = t393 * in->u[1];
     const double t467 = t432 + t466;
     const double t468 = t467 + t457;
     const double t469 = t468 - t450;
     const double t470 = t469 + t437;
+    /* towards S_w, z */
     const double t471 = t351 * t436;
     const double t472 = t465 - t471;
     const double t473 = t358 * t452;
@@ -4911,25 +5158,33 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t484 = t483 - t480;
     const double t485 = t346 * t482;
     const double t486 = t396 + t485;
+    /* towards z */
     const double t487 = t396 * in->u[1];
+    /* towards S_w, z */
     const double t488 = t180 * t482;
     const double t489 = t484 + t488;
+    /* towards z */
     const double t490 = t484 * in->u[4];
+    /* towards S_w, z */
     const double t491 = t351 * t489;
     const double t492 = t486 + t491;
     const double t493 = t238 * t482;
     const double t494 = t445 - t493;
+    /* towards z */
     const double t495 = t445 * in->u[3];
+    /* towards S_w, z */
     const double t496 = t245 * t489;
     const double t497 = t494 - t496;
     const double t498 = t358 * t497;
     const double t499 = t492 + t498;
     const double t500 = t290 * t482;
     const double t501 = t447 - t500;
+    /* towards z */
     const double t502 = t447 * in->u[2];
     const double t503 = t502 - t487;
     const double t504 = t503 + t495;
     const double t505 = t504 + t490;
+    /* towards S_w, z */
     const double t506 = t297 * t489;
     const double t507 = t501 - t506;
     const double t508 = t306 * t497;
@@ -4945,12 +5200,15 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t518 = t310 * t509;
     const double t519 = t517 + t518;
     const double t520 = t512 - t519;
+    /* towards z */
     const double t521 = t132 * in->u[5];
     const double t522 = t404 + t521;
     const double t523 = t522 - in->r_dot[0];
     const double t524 = t523 * 20.0;
     const double t525 = t524 + t33;
+    /* towards S_w, z */
     const double t526 = t132 * 10.683768000610659;
+    /* towards z, y_w */
     const double t527 = t6.cos * in->u[1];
     const double t528 = t2.sin * in->u[0];
     const double t529 = t6.sin * t528;
@@ -5031,7 +5289,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t604 = t560 - t603;
     const double t605 = 0.03498 * t603;
     const double t606 = t0.cos * t604;
+    /* towards z */
     const double t607 = t0.sin * t604;
+    /* towards z, y_w */
     const double t608 = t531 * t531;
     const double t609 = t540 * t540;
     const double t610 = t608 + t609;
@@ -5040,8 +5300,10 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t613 = 1.46375 * t610;
     const double t614 = t0.sin * t612;
     const double t615 = t606 + t614;
+    /* towards z */
     const double t616 = t0.cos * t612;
     const double t617 = t616 - t607;
+    /* towards z, y_w */
     const double t618 = t0.cos * t542;
     const double t619 = t0.sin * t546;
     const double t620 = t618 + t619;
@@ -5049,11 +5311,15 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t622 = t0.sin * t542;
     const double t623 = t621 - t622;
     const double t624 = t620 * t623;
+    /* towards z */
     const double t625 = 0.081 * t624;
     const double t626 = t615 + t625;
+    /* towards z, y_w */
     const double t627 = 0.03138 * t615;
+    /* towards z */
     const double t628 = t0.cos * t626;
     const double t629 = t0.sin * t626;
+    /* towards z, y_w */
     const double t630 = t620 * t620;
     const double t631 = t16.cos * t531;
     const double t632 = t16.sin * t540;
@@ -5061,9 +5327,12 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t634 = in->u[5] - t633;
     const double t635 = t634 * t634;
     const double t636 = t630 + t635;
+    /* towards z */
     const double t637 = 0.081 * t636;
     const double t638 = t617 - t637;
+    /* towards z, y_w */
     const double t639 = 0.03138 * t636;
+    /* towards z */
     const double t640 = t0.sin * t638;
     const double t641 = t628 - t640;
     const double t642 = t23 * t641;
@@ -5074,6 +5343,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t647 = t65 * t644;
     const double t648 = t52 * t641;
     const double t649 = t74 * t641;
+    /* towards z, y_w */
     const double t650 = in->u[4] * t633;
     const double t651 = t16.cos * t554;
     const double t652 = t650 - t651;
@@ -5081,7 +5351,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t654 = in->u[5] + t634;
     const double t655 = t623 * t654;
     const double t656 = t653 + t655;
+    /* towards z */
     const double t657 = 0.081 * t656;
+    /* towards z, y_w */
     const double t658 = t16.sin * t586;
     const double t659 = 1.46375 * t586;
     const double t660 = t16.cos * t597;
@@ -5094,15 +5366,18 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t667 = t0.sin * t652;
     const double t668 = 0.4 * t665;
     const double t669 = t661 + t668;
+    /* towards z */
     const double t670 = t657 - t669;
     const double t671 = t425 * t670;
     const double t672 = t642 - t671;
     const double t673 = t672 + t645;
     const double t674 = t673 - in->r_ddot[0];
     const double t675 = t525 + t674;
+    /* towards z, y_w */
     const double t676 = 0.03138 * t669;
     const double t677 = 0.00017 * t661;
     const double t678 = 4.4285e-05 * t665;
+    /* towards z */
     const double t679 = t130 * t670;
     const double t680 = t648 + t679;
     const double t681 = t646 - t680;
@@ -5112,11 +5387,15 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t685 = t681 - in->r_ddot[1];
     const double t686 = t684 + -9.81;
     const double t687 = t686 - in->r_ddot[2];
+    /* towards S_w, z, y_w, recover */
     const double t688 = iiwa_position_sqrt(t376);
+    /* towards S_w, z, y_w */
     const double t689 = 1.0 / t688;
+    /* towards S_w, z */
     const double t690 = t410 * t689;
     const double t691 = t476 * t689;
     const double t692 = t511 * t689;
+    /* towards z, y_w */
     const double t693 = t528 * t537;
     const double t694 = t537 * t537;
     const double t695 = in->u[1] * t528;
@@ -5140,7 +5419,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t713 = 0.005460948 * t624;
     const double t714 = t710 - t713;
     const double t715 = t346 * t714;
+    /* towards y_w, recover */
     const double t716 = t346 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t717 = t2.sin * 38.940795;
     const double t718 = t715 + t717;
     const double t719 = t694 - t580;
@@ -5297,19 +5578,25 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t870 = t834 - t869;
     const double t871 = t180 * t714;
     const double t872 = t828 + t871;
+    /* towards y_w, recover */
     const double t873 = t180 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t874 = t351 * t872;
     const double t875 = t866 + t874;
     const double t876 = t238 * t714;
     const double t877 = t876 - t860;
+    /* towards y_w, recover */
     const double t878 = t238 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t879 = t245 * t872;
     const double t880 = t877 + t879;
     const double t881 = t358 * t880;
     const double t882 = t875 - t881;
     const double t883 = t290 * t714;
     const double t884 = t883 - t870;
+    /* towards y_w, recover */
     const double t885 = t290 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t886 = t297 * t872;
     const double t887 = t884 + t886;
     const double t888 = t306 * t880;
@@ -5319,16 +5606,24 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t892 = t696 + t891;
     const double t893 = t689 * t892;
     const double t894 = t389 * t892;
+    /* towards y_w, recover */
     const double t895 = t389 * t688;
+    /* towards z */
     const double t896 = t690 * t893;
+    /* towards S_w, z, y_w, recover */
     const double t897 = iiwa_position_sqrt(t391);
+    /* towards S_w, z, y_w */
     const double t898 = 1.0 / t897;
+    /* towards S_w, z */
     const double t899 = t412 * t898;
     const double t900 = t478 * t898;
     const double t901 = t520 * t898;
+    /* towards z, y_w */
     const double t902 = t124 * t714;
     const double t903 = t714 * 10.683768000610659;
+    /* towards y_w, recover */
     const double t904 = t124 * 0.09359993589741394;
+    /* towards z, y_w */
     const double t905 = t549 * 3.2133895;
     const double t906 = t905 + t724;
     const double t907 = t549 * 0.0001416;
@@ -5355,39 +5650,61 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t928 = t926 - t927;
     const double t929 = t928 - t894;
     const double t930 = t898 * t929;
+    /* towards z */
     const double t931 = t899 * t930;
     const double t932 = t896 - t931;
+    /* towards S_w, z, y_w, recover */
     const double t933 = iiwa_position_sqrt(t308);
+    /* towards y_w, recover */
     const double t934 = t310 * t933;
     const double t935 = t362 * t933;
+    /* towards S_w, z, y_w */
     const double t936 = 1.0 / t933;
+    /* towards S_w, z */
     const double t937 = t323 * t936;
+    /* towards z, y_w */
     const double t938 = t889 * t936;
+    /* towards S_w, z */
     const double t939 = t461 * t936;
     const double t940 = t509 * t936;
+    /* towards z */
     const double t941 = t937 * t938;
     const double t942 = t932 + t941;
+    /* towards S_w, z, y_w, recover */
     const double t943 = iiwa_position_sqrt(t247);
+    /* towards y_w, recover */
     const double t944 = t249 * t943;
     const double t945 = t358 * t943;
     const double t946 = t306 * t943;
+    /* towards S_w, z, y_w */
     const double t947 = 1.0 / t943;
+    /* towards S_w, z */
     const double t948 = t260 * t947;
+    /* towards z, y_w */
     const double t949 = t880 * t947;
+    /* towards S_w, z */
     const double t950 = t452 * t947;
     const double t951 = t497 * t947;
+    /* towards z */
     const double t952 = t948 * t949;
     const double t953 = t942 + t952;
+    /* towards S_w, z, y_w, recover */
     const double t954 = iiwa_position_sqrt(t182);
+    /* towards y_w, recover */
     const double t955 = t184 * t954;
     const double t956 = t351 * t954;
     const double t957 = t297 * t954;
     const double t958 = t245 * t954;
+    /* towards S_w, z, y_w */
     const double t959 = 1.0 / t954;
+    /* towards S_w, z */
     const double t960 = t190 * t959;
+    /* towards z, y_w */
     const double t961 = t872 * t959;
+    /* towards S_w, z */
     const double t962 = t436 * t959;
     const double t963 = t489 * t959;
+    /* towards z */
     const double t964 = t960 * t961;
     const double t965 = t953 - t964;
     const double t966 = t526 * t903;
@@ -5399,7 +5716,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t972 = 20.0 * t971;
     const double t973 = t972 + t61;
     const double t974 = t973 + t685;
+    /* towards S_w, z */
     const double t975 = t429 * 10.683768000610659;
+    /* towards z */
     const double t976 = t930 * t900;
     const double t977 = t893 * t691;
     const double t978 = t976 + t977;
@@ -5418,7 +5737,9 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t991 = 20.0 * t990;
     const double t992 = t991 + t84;
     const double t993 = t992 + t687;
+    /* towards S_w, z */
     const double t994 = t482 * 10.683768000610659;
+    /* towards z */
     const double t995 = t930 * t901;
     const double t996 = t893 * t692;
     const double t997 = t995 - t996;
@@ -5431,11 +5752,13 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t1004 = t903 * t994;
     const double t1005 = t1003 - t1004;
     const double t1006 = (-t993) - t1005;
+    /* towards y_w, recover */
     const double t1007 = t76 * 0.03162277660168379;
     const double t1008 = t423 * 0.03162277660168379;
     const double t1009 = t418 * 0.03162277660168379;
     const double t1010 = t413 * 0.03162277660168379;
     const double t1011 = t0.cos * 0.03162277660168379;
+    /* towards y_w */
     const double t1012 = in->u[0] * 6.0;
     const double t1013 = in->q[0] * 9.0;
     const double t1014 = t1012 + t1013;
@@ -5518,6 +5841,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     const double t1091 = t706 + t1090;
     const double t1092 = 0.03162277660168379 * t1091;
     const double t1093 = t1079 - t1092;
+    /* towards pivots of Q */
     const double t1094 = t0.cos * 0.001;
     const double t1095 = t0.cos * t1094;
     const double t1096 = t143 + t1095;
@@ -5595,7 +5919,7 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     recover[24] = t1011;
     recover[25] = 0.09359993589741394;
     recover[26] = 0.03162277660168379;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t182;
     mass_scale[0] = t1096;
     mass_pivot[1] = t247;
@@ -5623,7 +5947,8 @@ int iiwa_position_prepare(const iiwa_position_params *params, iiwa_position_mode
 int iiwa_position_psi(const iiwa_position_model *model, const iiwa_position_input *in, double *psi)
 {
     double new_psi[3];
-    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r_dot, 3)
+            && iiwa_position_finite(in->r_ddot, 3))) {
         return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_psi(model, in, new_psi);
@@ -5639,7 +5964,8 @@ int iiwa_position_S(const iiwa_position_model *model, const iiwa_position_input 
     double new_S[21];
     double mass_pivot[5], mass_scale[5];
     int status;
-    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3) && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
+    if (!(iiwa_position_finite(in->q + 6, 1) && iiwa_position_finite(in->u, 7) && iiwa_position_finite(in->r, 3)
+            && iiwa_position_finite(in->r_dot, 3) && iiwa_position_finite(in->r_ddot, 3))) {
         return iiwa_position_reason(IIWA_POSITION_NONFINITE, in);
     }
     iiwa_position_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -5709,7 +6035,8 @@ int iiwa_position_pinv(const double *S, double *S_pinv, iiwa_position_info *info
     return iiwa_position_pinv_core(S, S_pinv, info);
 }
 
-int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau, iiwa_position_info *info)
+int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_input *in, double *tau,
+    iiwa_position_info *info)
 {
     double sigma[7], unweighted[7];
     double S_w[21], z[3], y_w[7], recover[27];
@@ -5726,9 +6053,12 @@ int iiwa_position_control(const iiwa_position_model *model, const iiwa_position_
         return iiwa_position_failed(status, in, info);
     }
     /* tau = L^-T sigma */
-    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3] + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
-    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4] + recover[11] * sigma[5] + recover[12] * sigma[6];
-    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5] + recover[17] * sigma[6];
+    unweighted[0] = recover[0] * sigma[0] + recover[1] * sigma[1] + recover[2] * sigma[2] + recover[3] * sigma[3]
+        + recover[4] * sigma[4] + recover[5] * sigma[5] + recover[6] * sigma[6];
+    unweighted[1] = recover[7] * sigma[1] + recover[8] * sigma[2] + recover[9] * sigma[3] + recover[10] * sigma[4]
+        + recover[11] * sigma[5] + recover[12] * sigma[6];
+    unweighted[2] = recover[13] * sigma[2] + recover[14] * sigma[3] + recover[15] * sigma[4] + recover[16] * sigma[5]
+        + recover[17] * sigma[6];
     unweighted[3] = recover[18] * sigma[3] + recover[19] * sigma[4] + recover[20] * sigma[5] + recover[21] * sigma[6];
     unweighted[4] = recover[22] * sigma[4] + recover[23] * sigma[5] + recover[24] * sigma[6];
     unweighted[5] = recover[25] * sigma[5];

@@ -11,22 +11,64 @@
 #error "build planar_arm_3r.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_NOINLINE __attribute__((noinline))
+#define PLANAR_ARM_3R_COLD __attribute__((noinline, cold))
+#define PLANAR_ARM_3R_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define PLANAR_ARM_3R_NOINLINE
+#define PLANAR_ARM_3R_COLD
+#define PLANAR_ARM_3R_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define PLANAR_ARM_3R_FRACTION_BITS 52
+#define PLANAR_ARM_3R_EXPONENT_BIAS 1023
+#define PLANAR_ARM_3R_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define PLANAR_ARM_3R_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define PLANAR_ARM_3R_NO_EXPONENT (-16384)
+#define PLANAR_ARM_3R_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define PLANAR_ARM_3R_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define PLANAR_ARM_3R_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define PLANAR_ARM_3R_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 2 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define PLANAR_ARM_3R_CONSISTENCY 5.329070518200751e-15 /* a row whose relative residual is at most this is met */
+/* singular values at or below this part of the largest count as zero */
+#define PLANAR_ARM_3R_RTOL 6.661338147750939e-16
+#define PLANAR_ARM_3R_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_SQUARE_HIGH_0 1523
+#define PLANAR_ARM_3R_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_SQUARE_HIGH_1 1523
+#define PLANAR_ARM_3R_ANSWER_LOW 23 /* the same of the answer's square */
+#define PLANAR_ARM_3R_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define PLANAR_ARM_3R_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define PLANAR_ARM_3R_NORMAL_LIMIT 27271342415.357616
+#define PLANAR_ARM_3R_QR_LIMIT 7.887603734753427e+28 /* up to this bound times |B|^2 the QR needs no SVD */
+#define PLANAR_ARM_3R_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
+typedef union planar_arm_3r_word {
     double value;
     uint64_t bits;
 } planar_arm_3r_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t planar_arm_3r_magnitude(double x)
 {
     planar_arm_3r_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & PLANAR_ARM_3R_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t planar_arm_3r_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +107,18 @@ static double planar_arm_3r_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= PLANAR_ARM_3R_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < PLANAR_ARM_3R_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -PLANAR_ARM_3R_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> PLANAR_ARM_3R_FRACTION_BITS) - PLANAR_ARM_3R_EXPONENT_BIAS;
+    rest = (word.bits & (PLANAR_ARM_3R_SMALLEST_NORMAL - 1u)) | PLANAR_ARM_3R_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = PLANAR_ARM_3R_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +126,8 @@ static double planar_arm_3r_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + PLANAR_ARM_3R_EXPONENT_BIAS - 1) << PLANAR_ARM_3R_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +151,12 @@ static int planar_arm_3r_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     planar_arm_3r_word word;
     const uint64_t magnitude = planar_arm_3r_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> PLANAR_ARM_3R_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(PLANAR_ARM_3R_EXPONENT_BIAS + PLANAR_ARM_3R_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= PLANAR_ARM_3R_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +165,14 @@ static int planar_arm_3r_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +224,8 @@ static void planar_arm_3r_reduce_close(double x, double k, double *hi, double *l
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int planar_arm_3r_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = planar_arm_3r_magnitude(x);
@@ -203,7 +249,8 @@ static inline int planar_arm_3r_reduce(double x, double *hi, double *lo)
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (planar_arm_3r_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> PLANAR_ARM_3R_FRACTION_BITS)
+                > (planar_arm_3r_magnitude(*hi) >> PLANAR_ARM_3R_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             planar_arm_3r_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,20 +267,22 @@ static inline int planar_arm_3r_reduce(double x, double *hi, double *lo)
 static double planar_arm_3r_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double planar_arm_3r_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct planar_arm_3r_pair {
     double sin, cos;
 } planar_arm_3r_pair;
 
@@ -260,59 +309,54 @@ static planar_arm_3r_pair planar_arm_3r_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define PLANAR_ARM_3R_APART __attribute__((noinline))
-#else
-#define PLANAR_ARM_3R_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from PLANAR_ARM_3R_EXPONENT_MIN to PLANAR_ARM_3R_EXPONENT_MAX, by writing its exponent. */
 static double planar_arm_3r_power(int k)
 {
     planar_arm_3r_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + PLANAR_ARM_3R_EXPONENT_BIAS) << PLANAR_ARM_3R_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double planar_arm_3r_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= PLANAR_ARM_3R_EXPONENT_MIN && k <= PLANAR_ARM_3R_EXPONENT_MAX) {
         return x * planar_arm_3r_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= planar_arm_3r_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > PLANAR_ARM_3R_EXPONENT_MAX; ++step) {
+        x *= planar_arm_3r_power(PLANAR_ARM_3R_EXPONENT_MAX);
+        k -= PLANAR_ARM_3R_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= planar_arm_3r_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < PLANAR_ARM_3R_EXPONENT_MIN; ++step) {
+        x *= planar_arm_3r_power(PLANAR_ARM_3R_EXPONENT_MIN + PLANAR_ARM_3R_FRACTION_BITS + 1);
+        k -= PLANAR_ARM_3R_EXPONENT_MIN + PLANAR_ARM_3R_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > PLANAR_ARM_3R_EXPONENT_MAX) {
+        k = PLANAR_ARM_3R_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < PLANAR_ARM_3R_EXPONENT_MIN) {
+        k = PLANAR_ARM_3R_EXPONENT_MIN;
     }
     return x * planar_arm_3r_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; PLANAR_ARM_3R_NO_EXPONENT for zero. */
 static int planar_arm_3r_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return PLANAR_ARM_3R_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < PLANAR_ARM_3R_SMALLEST_NORMAL) {
         planar_arm_3r_word word;
         word.bits = magnitude;
-        magnitude = planar_arm_3r_magnitude(word.value * planar_arm_3r_power(64));
-        lift = 64;
+        magnitude = planar_arm_3r_magnitude(word.value * planar_arm_3r_power(PLANAR_ARM_3R_SUBNORMAL_LIFT));
+        lift = PLANAR_ARM_3R_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> PLANAR_ARM_3R_FRACTION_BITS) - PLANAR_ARM_3R_EXPONENT_BIAS - lift;
 }
 
 static double planar_arm_3r_abs(double x)
@@ -320,69 +364,71 @@ static double planar_arm_3r_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t planar_arm_3r_biased(double x)
 {
     planar_arm_3r_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (PLANAR_ARM_3R_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t planar_arm_3r_biased_square(double square)
 {
     planar_arm_3r_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> PLANAR_ARM_3R_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int planar_arm_3r_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define PLANAR_ARM_3R_NEAR
-#define PLANAR_ARM_3R_WRITTEN_OUT
+#define PLANAR_ARM_3R_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define PLANAR_ARM_3R_NEAR inline __attribute__((always_inline))
-#define PLANAR_ARM_3R_WRITTEN_OUT
+#define PLANAR_ARM_3R_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define PLANAR_ARM_3R_UNROLL
 #elif defined(__clang__)
-#define PLANAR_ARM_3R_NEAR
-#define PLANAR_ARM_3R_WRITTEN_OUT /* it does so by itself */
+#define PLANAR_ARM_3R_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_UNROLL /* clang writes such loops out by itself */
 #else
-#define PLANAR_ARM_3R_NEAR
-#define PLANAR_ARM_3R_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define PLANAR_ARM_3R_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static PLANAR_ARM_3R_NEAR void planar_arm_3r_spread(const double *restrict v, double factor, double *restrict w)
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS void planar_arm_3r_spread(const double *restrict v, double factor,
+    double *restrict w)
 {
     int k;
-    PLANAR_ARM_3R_WRITTEN_OUT
+    PLANAR_ARM_3R_UNROLL
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static PLANAR_ARM_3R_NEAR void planar_arm_3r_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS void planar_arm_3r_gather(const double *restrict w, double *restrict v)
 {
     int k;
-    PLANAR_ARM_3R_WRITTEN_OUT
+    PLANAR_ARM_3R_UNROLL
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
 }
 
-static PLANAR_ARM_3R_NEAR double planar_arm_3r_inner(const double *a, const double *b)
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS double planar_arm_3r_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-typedef struct {
+typedef struct planar_arm_3r_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
 } planar_arm_3r_normal;
@@ -390,8 +436,8 @@ typedef struct {
 /* Factorises B B^T, B [2*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 5.3e-15, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 5.3e-15, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int planar_arm_3r_normal_factor(const double *B, planar_arm_3r_normal *f)
 {
     const double g_0_0 = planar_arm_3r_inner(B, B);
@@ -401,25 +447,28 @@ static int planar_arm_3r_normal_factor(const double *B, planar_arm_3r_normal *f)
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!planar_arm_3r_within(planar_arm_3r_biased_square(g_0_0), 523, 1523) || !planar_arm_3r_within(planar_arm_3r_biased_square(g_1_1), 523, 1523)) {
+    if (!planar_arm_3r_within(planar_arm_3r_biased_square(g_0_0), PLANAR_ARM_3R_SQUARE_LOW_0,
+            PLANAR_ARM_3R_SQUARE_HIGH_0)
+            || !planar_arm_3r_within(planar_arm_3r_biased_square(g_1_1), PLANAR_ARM_3R_SQUARE_LOW_1,
+            PLANAR_ARM_3R_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > PLANAR_ARM_3R_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > PLANAR_ARM_3R_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     n_1_0 = planar_arm_3r_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= PLANAR_ARM_3R_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -440,15 +489,16 @@ static void planar_arm_3r_normal_solve(const planar_arm_3r_normal *f, const doub
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct planar_arm_3r_line {
     double p[3];
     double l[2];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } planar_arm_3r_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct planar_arm_3r_qr {
     planar_arm_3r_line line[2];
     planar_arm_3r_line *at[2];
     double left[2];    /* squared length of at[k]->p */
@@ -459,7 +509,8 @@ typedef struct {
 } planar_arm_3r_qr;
 
 /* rest -= along pivot, its squared length. */
-static PLANAR_ARM_3R_NEAR double planar_arm_3r_take_out(double *restrict rest, const double *restrict pivot, double along)
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS double planar_arm_3r_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -496,7 +547,7 @@ static void planar_arm_3r_qr_reduce(planar_arm_3r_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= PLANAR_ARM_3R_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -529,8 +580,8 @@ static void planar_arm_3r_qr_factor(const double *B, planar_arm_3r_qr *f)
     planar_arm_3r_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int planar_arm_3r_qr_certified(const planar_arm_3r_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -544,10 +595,11 @@ static int planar_arm_3r_qr_certified(const planar_arm_3r_qr *f)
     n_1_0 = planar_arm_3r_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    return bound * total < 7.887603734753427e+28;
+    return bound * total < PLANAR_ARM_3R_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void planar_arm_3r_triangle(double *t, int first, double *sigma)
 {
@@ -577,8 +629,8 @@ static void planar_arm_3r_triangle(double *t, int first, double *sigma)
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int planar_arm_3r_svd(const planar_arm_3r_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -600,9 +652,9 @@ static int planar_arm_3r_svd(const planar_arm_3r_qr *f, double *left, double *si
     return 1;
 }
 
-typedef struct {
+typedef struct planar_arm_3r_factors {
     double B[6];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* PLANAR_ARM_3R_NO_EXPONENT where a row counts as zero */
     planar_arm_3r_normal normal;
     planar_arm_3r_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -617,9 +669,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } planar_arm_3r_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void planar_arm_3r_undo_scaling(planar_arm_3r_factors *f, int top)
 {
     double F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -637,7 +690,7 @@ static void planar_arm_3r_undo_scaling(planar_arm_3r_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0 :
+            F[2 * k + i] = exponent == PLANAR_ARM_3R_NO_EXPONENT ? 0.0 :
                 planar_arm_3r_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -714,18 +767,19 @@ static void planar_arm_3r_undo_scaling(planar_arm_3r_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is PLANAR_ARM_3R_NO_EXPONENT. */
 static void planar_arm_3r_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 3 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -PLANAR_ARM_3R_EXPONENT_MAX && exponent[i] <= -PLANAR_ARM_3R_EXPONENT_MIN) {
             planar_arm_3r_spread(row, planar_arm_3r_power(-exponent[i]), B + 3 * i);
         } else {
             double shifted[3];
             for (j = 0; j < 3; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : planar_arm_3r_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == PLANAR_ARM_3R_NO_EXPONENT
+                    ? 0.0 : planar_arm_3r_shift(row[j], -exponent[i]);
             }
             planar_arm_3r_spread(shifted, 1.0, B + 3 * i);
         }
@@ -788,8 +842,10 @@ static void planar_arm_3r_vectors(planar_arm_3r_factors *f, const double *u)
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static PLANAR_ARM_3R_APART int planar_arm_3r_factorise_svd(const double *S, planar_arm_3r_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static PLANAR_ARM_3R_NOINLINE int planar_arm_3r_factorise_svd(const double *S, planar_arm_3r_factors *f, int top,
+    int bottom)
 {
     double u[4];
     int i;
@@ -799,7 +855,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_factorise_svd(const double *S, plan
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 6.661338147750939e-16 * f->sigma[0];
+        f->rank += f->sigma[i] > PLANAR_ARM_3R_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -807,7 +863,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_factorise_svd(const double *S, plan
         if (f->rank > 0 && bottom != top) {
             planar_arm_3r_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == PLANAR_ARM_3R_NO_EXPONENT ? PLANAR_ARM_3R_NO_EXPONENT : top;
             }
             planar_arm_3r_scale(S, f->exponent, f->B);
         }
@@ -816,19 +872,19 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_factorise_svd(const double *S, plan
 }
 
 /* The ladder, from the step `from` on. */
-static PLANAR_ARM_3R_APART int planar_arm_3r_factorise(const double *S, planar_arm_3r_factors *f, int from)
+static PLANAR_ARM_3R_NOINLINE int planar_arm_3r_factorise(const double *S, planar_arm_3r_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = PLANAR_ARM_3R_NO_EXPONENT;
+    int bottom = -PLANAR_ARM_3R_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         planar_arm_3r_word word;
         word.bits = planar_arm_3r_largest(S + 3 * i, 3);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= PLANAR_ARM_3R_INFINITY_BITS) {
             return PLANAR_ARM_3R_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = PLANAR_ARM_3R_NO_EXPONENT;
         if (word.value > 0.0) {
             f->exponent[i] = planar_arm_3r_length(S + 3 * i, planar_arm_3r_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -861,7 +917,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_factorise(const double *S, planar_a
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static PLANAR_ARM_3R_APART double planar_arm_3r_sigma_min(const double *S, planar_arm_3r_factors *f)
+static PLANAR_ARM_3R_NOINLINE double planar_arm_3r_sigma_min(const double *S, planar_arm_3r_factors *f)
 {
     const uint64_t magnitude = planar_arm_3r_largest(S, 6);
     const int top = magnitude == 0 ? 0 : planar_arm_3r_exponent(magnitude);
@@ -878,12 +934,12 @@ static PLANAR_ARM_3R_APART double planar_arm_3r_sigma_min(const double *S, plana
     return planar_arm_3r_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int planar_arm_3r_refuse(int status, planar_arm_3r_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = PLANAR_ARM_3R_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -892,17 +948,19 @@ static int planar_arm_3r_refuse(int status, planar_arm_3r_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 5.33e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= PLANAR_ARM_3R_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int planar_arm_3r_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int planar_arm_3r_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = planar_arm_3r_exponent(planar_arm_3r_largest(tau, 3));
     double t[3], rest[2];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[2];
-    int top = -16384;
+    int top = PLANAR_ARM_3R_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -910,9 +968,9 @@ static int planar_arm_3r_consistent(const double *S, const double *z, const doub
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : planar_arm_3r_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == PLANAR_ARM_3R_NO_EXPONENT ? 0.0 : planar_arm_3r_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != PLANAR_ARM_3R_NO_EXPONENT) {
             const double yj = planar_arm_3r_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -922,17 +980,18 @@ static int planar_arm_3r_consistent(const double *S, const double *z, const doub
         const double *const row = S + 3 * i;
         const int row_unit = planar_arm_3r_exponent(planar_arm_3r_largest(row, 3));
         const int z_unit = planar_arm_3r_exponent(planar_arm_3r_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == PLANAR_ARM_3R_NO_EXPONENT || tau_unit == PLANAR_ARM_3R_NO_EXPONENT
+            ? PLANAR_ARM_3R_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == PLANAR_ARM_3R_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != PLANAR_ARM_3R_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const double s = planar_arm_3r_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -942,24 +1001,26 @@ static int planar_arm_3r_consistent(const double *S, const double *z, const doub
         }
         target = planar_arm_3r_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 5.329070518200751e-15 * (scale * planar_arm_3r_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = PLANAR_ARM_3R_CONSISTENCY
+            * (scale * planar_arm_3r_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != PLANAR_ARM_3R_NO_EXPONENT) {
             rest[i] = planar_arm_3r_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : planar_arm_3r_shift(planar_arm_3r_sqrt(norm), top);
+    *residual = top == PLANAR_ARM_3R_NO_EXPONENT ? 0.0 : planar_arm_3r_shift(planar_arm_3r_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void planar_arm_3r_qr_apply(const planar_arm_3r_qr *f, const double *restrict r, double *restrict x, int careful)
+static void planar_arm_3r_qr_apply(const planar_arm_3r_qr *f, const double *restrict r, double *restrict x,
+    int careful)
 {
     const planar_arm_3r_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -977,19 +1038,21 @@ static void planar_arm_3r_qr_apply(const planar_arm_3r_qr *f, const double *rest
 }
 
 /* x = S+ r from the normal equations. */
-static void planar_arm_3r_normal_apply(const planar_arm_3r_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void planar_arm_3r_normal_apply(const planar_arm_3r_normal *f, const double *B, const double *restrict r,
+    double *restrict x)
 {
     double w[2];
     int j;
     planar_arm_3r_normal_solve(f, r, w);
-    PLANAR_ARM_3R_WRITTEN_OUT
+    PLANAR_ARM_3R_UNROLL
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3];
     }
 }
 
 /* r = z - B t. */
-static PLANAR_ARM_3R_NEAR void planar_arm_3r_residual(const double *B, const double *z, const double *t, double *restrict r)
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS void planar_arm_3r_residual(const double *B, const double *z, const double *t,
+    double *restrict r)
 {
     r[0] = z[0] - planar_arm_3r_inner(B, t);
     r[1] = z[1] - planar_arm_3r_inner(B + 3, t);
@@ -1023,14 +1086,16 @@ static void planar_arm_3r_apply(const planar_arm_3r_factors *f, const double *r,
     }
 }
 
-static PLANAR_ARM_3R_APART int planar_arm_3r_solve_scaled(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_info *info, int from)
+static PLANAR_ARM_3R_NOINLINE int planar_arm_3r_solve_scaled(const double *S, const double *z, const double *y,
+    double *tau, planar_arm_3r_info *info, int from)
 {
     planar_arm_3r_factors f;
     double zs[2], ys[3], r[2], x[3], answer[3];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = PLANAR_ARM_3R_NO_EXPONENT;
     int status, i, j;
-    if (planar_arm_3r_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && planar_arm_3r_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
+    if (planar_arm_3r_largest(z, 2) >= PLANAR_ARM_3R_INFINITY_BITS
+            || (y != NULL && planar_arm_3r_largest(y, 3) >= PLANAR_ARM_3R_INFINITY_BITS)) {
         return planar_arm_3r_refuse(PLANAR_ARM_3R_NONFINITE, info);
     }
     status = planar_arm_3r_factorise(S, &f, from);
@@ -1043,15 +1108,16 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_solve_scaled(const double *S, const
     }
     for (i = 0; i < 2; ++i) {
         const int own = planar_arm_3r_exponent(planar_arm_3r_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != PLANAR_ARM_3R_NO_EXPONENT && own != PLANAR_ARM_3R_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == PLANAR_ARM_3R_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : planar_arm_3r_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == PLANAR_ARM_3R_NO_EXPONENT ? 0.0 : planar_arm_3r_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0 : planar_arm_3r_shift(y[j], -unit);
@@ -1073,7 +1139,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_solve_scaled(const double *S, const
             answer[j] += planar_arm_3r_shift(x[j], unit);
         }
     }
-    if (planar_arm_3r_largest(answer, 3) >= UINT64_C(0x7ff0000000000000)) {
+    if (planar_arm_3r_largest(answer, 3) >= PLANAR_ARM_3R_INFINITY_BITS) {
         return planar_arm_3r_refuse(PLANAR_ARM_3R_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
@@ -1096,7 +1162,8 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_solve_scaled(const double *S, const
     return status;
 }
 
-static PLANAR_ARM_3R_APART void planar_arm_3r_report(const double *S, const double *z, const double *y, const double *tau, int path, planar_arm_3r_info *info)
+static PLANAR_ARM_3R_NOINLINE void planar_arm_3r_report(const double *S, const double *z, const double *y,
+    const double *tau, int path, planar_arm_3r_info *info)
 {
     planar_arm_3r_factors f;
     (void)planar_arm_3r_consistent(S, z, y, tau, &info->residual);
@@ -1109,7 +1176,8 @@ static PLANAR_ARM_3R_APART void planar_arm_3r_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static PLANAR_ARM_3R_NEAR void planar_arm_3r_correct(const planar_arm_3r_normal *normal, const planar_arm_3r_qr *qr, const double *B, const double *r, double *x, int careful)
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS void planar_arm_3r_correct(const planar_arm_3r_normal *normal,
+    const planar_arm_3r_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         planar_arm_3r_qr_apply(qr, r, x, careful);
@@ -1119,7 +1187,8 @@ static PLANAR_ARM_3R_NEAR void planar_arm_3r_correct(const planar_arm_3r_normal 
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static PLANAR_ARM_3R_NEAR int planar_arm_3r_answer(const planar_arm_3r_normal *normal, const planar_arm_3r_qr *qr, const double *S, const double *B,
+static PLANAR_ARM_3R_INLINE_WITH_VECTORS int planar_arm_3r_answer(const planar_arm_3r_normal *normal,
+    const planar_arm_3r_qr *qr, const double *S, const double *B,
     const double *z, const double *y, double *tau, planar_arm_3r_info *info)
 {
     double r[2], x[3], step[3];
@@ -1144,7 +1213,8 @@ static PLANAR_ARM_3R_NEAR int planar_arm_3r_answer(const planar_arm_3r_normal *n
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!planar_arm_3r_within(planar_arm_3r_biased_square(planar_arm_3r_inner(x, x)), 23, 1923)) {
+    if (!planar_arm_3r_within(planar_arm_3r_biased_square(planar_arm_3r_inner(x, x)), PLANAR_ARM_3R_ANSWER_LOW,
+            PLANAR_ARM_3R_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
@@ -1163,10 +1233,10 @@ static int planar_arm_3r_qr_scaled(const double *B, planar_arm_3r_qr *f)
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = planar_arm_3r_inner(B + 3 * i, B + 3 * i);
-        exponent[i] = (planar_arm_3r_biased(f->left[i]) + 1023) / 2; /* of the length */
+        exponent[i] = (planar_arm_3r_biased(f->left[i]) + PLANAR_ARM_3R_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 2; ++i) {
-        const double unit = planar_arm_3r_power(1023 - (int)exponent[i]);
+        const double unit = planar_arm_3r_power(PLANAR_ARM_3R_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 3; ++j) {
             f->line[i].p[j] = unit * B[3 * i + j];
         }
@@ -1178,7 +1248,8 @@ static int planar_arm_3r_qr_scaled(const double *B, planar_arm_3r_qr *f)
     return planar_arm_3r_qr_certified(f);
 }
 
-static PLANAR_ARM_3R_APART int planar_arm_3r_solve_qr(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_info *info)
+static PLANAR_ARM_3R_NOINLINE int planar_arm_3r_solve_qr(const double *S, const double *z, const double *y,
+    double *tau, planar_arm_3r_info *info)
 {
     planar_arm_3r_qr f;
     const double *const B = S;
@@ -1189,7 +1260,8 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_solve_qr(const double *S, const dou
     return planar_arm_3r_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_PATH_QR);
 }
 
-static int planar_arm_3r_solve_core(const double *S, const double *z, const double *y, double *tau, planar_arm_3r_info *info)
+static int planar_arm_3r_solve_core(const double *S, const double *z, const double *y, double *tau,
+    planar_arm_3r_info *info)
 {
     planar_arm_3r_normal f;
     int held;
@@ -1206,7 +1278,7 @@ static int planar_arm_3r_solve_core(const double *S, const double *z, const doub
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static PLANAR_ARM_3R_APART int planar_arm_3r_pinv_core(const double *S, double *S_pinv, planar_arm_3r_info *info)
+static PLANAR_ARM_3R_NOINLINE int planar_arm_3r_pinv_core(const double *S, double *S_pinv, planar_arm_3r_info *info)
 {
     planar_arm_3r_factors f;
     double unit[2], x[3], answer[6];
@@ -1219,7 +1291,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_pinv_core(const double *S, double *
         unit[i] = 0.0;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == PLANAR_ARM_3R_NO_EXPONENT;
         unit[i] = 1.0;
         planar_arm_3r_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1227,7 +1299,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_pinv_core(const double *S, double *
             answer[2 * j + i] = zero_row ? 0.0 : planar_arm_3r_shift(x[j], -f.exponent[i]);
         }
     }
-    if (planar_arm_3r_largest(answer, 6) >= UINT64_C(0x7ff0000000000000)) {
+    if (planar_arm_3r_largest(answer, 6) >= PLANAR_ARM_3R_INFINITY_BITS) {
         return planar_arm_3r_refuse(PLANAR_ARM_3R_OVERFLOW, info);
     }
     status = f.rank < 2 ? PLANAR_ARM_3R_RANK_DEFICIENT_CONSISTENT : PLANAR_ARM_3R_OK;
@@ -1245,7 +1317,7 @@ static PLANAR_ARM_3R_APART int planar_arm_3r_pinv_core(const double *S, double *
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void planar_arm_3r_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1256,10 +1328,11 @@ static void planar_arm_3r_copy(const double *from, double *to, int n)
 
 static int planar_arm_3r_finite(const double *x, int n)
 {
-    return planar_arm_3r_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return planar_arm_3r_largest(x, n) < PLANAR_ARM_3R_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* PLANAR_ARM_3R_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
+   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int planar_arm_3r_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1274,7 +1347,7 @@ static int planar_arm_3r_mass_status(const double *pivot, const double *scale, i
     return PLANAR_ARM_3R_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int planar_arm_3r_input_finite(const planar_arm_3r_input *in)
 {
     return planar_arm_3r_finite(in->q, 3)
@@ -1284,17 +1357,8 @@ static int planar_arm_3r_input_finite(const planar_arm_3r_input *in)
            && planar_arm_3r_finite(in->r_ddot, 2);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define PLANAR_ARM_3R_COLD __attribute__((noinline, cold))
-#define PLANAR_ARM_3R_SMALL inline __attribute__((always_inline))
-#else
-#define PLANAR_ARM_3R_COLD
-#define PLANAR_ARM_3R_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static PLANAR_ARM_3R_COLD int planar_arm_3r_reason(int status, const planar_arm_3r_input *in)
 {
     if (!planar_arm_3r_input_finite(in)) {
@@ -1303,8 +1367,10 @@ static PLANAR_ARM_3R_COLD int planar_arm_3r_reason(int status, const planar_arm_
     return status == PLANAR_ARM_3R_NONFINITE ? PLANAR_ARM_3R_OVERFLOW : status;
 }
 
-static PLANAR_ARM_3R_SMALL void planar_arm_3r_eval_psi(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *psi)
+static PLANAR_ARM_3R_ALWAYS_INLINE void planar_arm_3r_eval_psi(const planar_arm_3r_model *model,
+    const planar_arm_3r_input *in, double *psi)
 {
+    /* towards psi */
     const planar_arm_3r_pair t0 = planar_arm_3r_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;
     const double t2 = in->q[0] + in->q[1];
@@ -1328,8 +1394,10 @@ static PLANAR_ARM_3R_SMALL void planar_arm_3r_eval_psi(const planar_arm_3r_model
 }
 
 
-static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S, double *mass_pivot, double *mass_scale)
+static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
+    double *mass_pivot, double *mass_scale)
 {
+    /* towards S, pivots of Q */
     const planar_arm_3r_pair t0 = planar_arm_3r_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;
     const double t2 = in->q[0] + in->q[1];
@@ -1342,7 +1410,9 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     const planar_arm_3r_pair t9 = planar_arm_3r_sincos(t8);
     const double t10 = model->a[2] * t9.cos;
     const double t11 = t9.cos * model->c0;
+    /* towards S */
     const double t12 = t6 + t10;
+    /* towards S, pivots of Q */
     const double t13 = t6 + t11;
     const double t14 = t4 + t11;
     const double t15 = model->a[0] * t0.sin;
@@ -1352,7 +1422,9 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     const double t19 = t15 + t17;
     const double t20 = model->a[2] * t9.sin;
     const double t21 = t9.sin * model->c0;
+    /* towards S */
     const double t22 = t18 + t20;
+    /* towards S, pivots of Q */
     const double t23 = t18 + t21;
     const double t24 = t16 + t21;
     const double t25 = t13 + t13;
@@ -1372,7 +1444,9 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     const double t39 = t38 + model->c5;
     const double t40 = t39 + model->c6;
     const double t41 = 1.0 / t40;
+    /* towards S */
     const double t42 = t22 * t41;
+    /* towards S, pivots of Q */
     const double t43 = model->m[2] * t14;
     const double t44 = t13 * t43;
     const double t45 = t14 * t43;
@@ -1388,20 +1462,28 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     const double t55 = t49 + t54;
     const double t56 = t5 * t53;
     const double t57 = t52 + t56;
+    /* towards S */
     const double t58 = t4 + t10;
+    /* towards S, pivots of Q */
     const double t59 = t16 * model->c7;
     const double t60 = t19 * t59;
     const double t61 = t55 + t60;
     const double t62 = t17 * t59;
     const double t63 = t57 + t62;
+    /* towards S */
     const double t64 = t16 + t20;
+    /* towards S, pivots of Q */
     const double t65 = t41 * t61;
+    /* towards S */
     const double t66 = t22 * t65;
     const double t67 = t66 - t64;
+    /* towards S, pivots of Q */
     const double t68 = t61 * t65;
     const double t69 = t63 - t68;
     const double t70 = 1.0 / t69;
+    /* towards S */
     const double t71 = t67 * t70;
+    /* towards S, pivots of Q */
     const double t72 = t10 * model->c1;
     const double t73 = t14 * t72;
     const double t74 = t13 * t72;
@@ -1415,16 +1497,23 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     const double t82 = t41 * t81;
     const double t83 = t61 * t82;
     const double t84 = t80 - t83;
+    /* towards S */
     const double t85 = t22 * t82;
     const double t86 = t85 - t20;
+    /* towards S, pivots of Q */
     const double t87 = t81 * t82;
     const double t88 = model->c8 - t87;
+    /* towards S */
     const double t89 = t12 * t41;
+    /* towards S, pivots of Q */
     const double t90 = t70 * t84;
+    /* towards S */
     const double t91 = t67 * t90;
     const double t92 = t86 - t91;
+    /* towards S, pivots of Q */
     const double t93 = t84 * t90;
     const double t94 = t88 - t93;
+    /* towards S */
     const double t95 = 1.0 / t94;
     const double t96 = t92 * t95;
     const double t97 = t90 * t96;
@@ -1454,7 +1543,7 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     S[3] = t116;
     S[4] = t112;
     S[5] = t110;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t40;
     mass_scale[0] = t40;
     mass_pivot[1] = t69;
@@ -1464,8 +1553,10 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
 }
 
 
-static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *z, double *mass_pivot, double *mass_scale)
+static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *z,
+    double *mass_pivot, double *mass_scale)
 {
+    /* towards z, pivots of Q */
     const planar_arm_3r_pair t0 = planar_arm_3r_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;
     const double t2 = in->q[0] + in->q[1];
@@ -1475,17 +1566,23 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     const double t6 = t2 + in->q[2];
     const planar_arm_3r_pair t7 = planar_arm_3r_sincos(t6);
     const double t8 = model->a[2] * t7.cos;
+    /* towards z */
     const double t9 = t5 + t8;
     const double t10 = t9 - in->r[0];
     const double t11 = t10 * 8.0;
+    /* towards z, pivots of Q */
     const double t12 = model->a[0] * t0.sin;
+    /* towards z */
     const double t13 = t0.sin * in->u[0];
+    /* towards z, pivots of Q */
     const double t14 = model->a[1] * t3.sin;
     const double t15 = t12 + t14;
     const double t16 = model->a[2] * t7.sin;
+    /* towards z */
     const double t17 = t15 + t16;
     const double t18 = t17 - in->r[1];
     const double t19 = t18 * 8.0;
+    /* towards z, pivots of Q */
     const double t20 = t7.cos * model->c0;
     const double t21 = t5 + t20;
     const double t22 = t21 + t21;
@@ -1512,9 +1609,13 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     const double t43 = t42 + model->c5;
     const double t44 = t43 + model->c6;
     const double t45 = 1.0 / t44;
+    /* towards z */
     const double t46 = t17 * t45;
+    /* towards z, pivots of Q */
     const double t47 = t4 + t20;
+    /* towards z */
     const double t48 = t20 * model->c9;
+    /* towards z, pivots of Q */
     const double t49 = model->m[2] * t47;
     const double t50 = t21 * t49;
     const double t51 = model->m[2] * t27;
@@ -1523,17 +1624,23 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     const double t54 = model->c3 + t53;
     const double t55 = t4 * model->c7;
     const double t56 = t33 * t55;
+    /* towards z */
     const double t57 = t4 + t8;
+    /* towards z, pivots of Q */
     const double t58 = t34 * t55;
     const double t59 = t54 + t58;
     const double t60 = t14 * model->c7;
+    /* towards z */
     const double t61 = t14 + t16;
+    /* towards z, pivots of Q */
     const double t62 = t38 * t60;
     const double t63 = t39 * t60;
     const double t64 = t59 + t63;
     const double t65 = t45 * t64;
+    /* towards z */
     const double t66 = t17 * t65;
     const double t67 = t66 - t61;
+    /* towards z, pivots of Q */
     const double t68 = t47 * t49;
     const double t69 = t27 * t51;
     const double t70 = t68 + t69;
@@ -1543,7 +1650,9 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     const double t74 = t64 * t65;
     const double t75 = t73 - t74;
     const double t76 = 1.0 / t75;
+    /* towards z */
     const double t77 = t67 * t76;
+    /* towards z, pivots of Q */
     const double t78 = t8 * model->c1;
     const double t79 = t47 * t78;
     const double t80 = t16 * model->c1;
@@ -1557,16 +1666,23 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     const double t88 = t45 * t87;
     const double t89 = t64 * t88;
     const double t90 = t83 - t89;
+    /* towards z */
     const double t91 = t17 * t88;
     const double t92 = t91 - t16;
+    /* towards z, pivots of Q */
     const double t93 = t87 * t88;
     const double t94 = model->c8 - t93;
+    /* towards z */
     const double t95 = t9 * t45;
+    /* towards z, pivots of Q */
     const double t96 = t76 * t90;
+    /* towards z */
     const double t97 = t67 * t96;
     const double t98 = t92 - t97;
+    /* towards z, pivots of Q */
     const double t99 = t90 * t96;
     const double t100 = t94 - t99;
+    /* towards z */
     const double t101 = 1.0 / t100;
     const double t102 = t98 * t101;
     const double t103 = t96 * t102;
@@ -1719,7 +1835,7 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = t246;
     z[1] = t249;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t44;
     mass_scale[0] = t44;
     mass_pivot[1] = t75;
@@ -1729,8 +1845,10 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
 }
 
 
-static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
+static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
+    double *z, double *mass_pivot, double *mass_scale)
 {
+    /* towards S, z, pivots of Q */
     const planar_arm_3r_pair t0 = planar_arm_3r_sincos(in->q[0]);
     const double t1 = model->a[0] * t0.cos;
     const double t2 = in->q[0] + in->q[1];
@@ -1740,17 +1858,25 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t6 = t2 + in->q[2];
     const planar_arm_3r_pair t7 = planar_arm_3r_sincos(t6);
     const double t8 = model->a[2] * t7.cos;
+    /* towards S, z */
     const double t9 = t5 + t8;
+    /* towards z */
     const double t10 = t9 - in->r[0];
     const double t11 = t10 * 8.0;
+    /* towards S, z, pivots of Q */
     const double t12 = model->a[0] * t0.sin;
+    /* towards z */
     const double t13 = t0.sin * in->u[0];
+    /* towards S, z, pivots of Q */
     const double t14 = model->a[1] * t3.sin;
     const double t15 = t12 + t14;
     const double t16 = model->a[2] * t7.sin;
+    /* towards S, z */
     const double t17 = t15 + t16;
+    /* towards z */
     const double t18 = t17 - in->r[1];
     const double t19 = t18 * 8.0;
+    /* towards S, z, pivots of Q */
     const double t20 = t7.cos * model->c0;
     const double t21 = t5 + t20;
     const double t22 = t21 + t21;
@@ -1777,9 +1903,13 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t43 = t42 + model->c5;
     const double t44 = t43 + model->c6;
     const double t45 = 1.0 / t44;
+    /* towards S, z */
     const double t46 = t17 * t45;
+    /* towards S, z, pivots of Q */
     const double t47 = t4 + t20;
+    /* towards z */
     const double t48 = t20 * model->c9;
+    /* towards S, z, pivots of Q */
     const double t49 = model->m[2] * t47;
     const double t50 = t21 * t49;
     const double t51 = model->m[2] * t27;
@@ -1788,17 +1918,23 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t54 = model->c3 + t53;
     const double t55 = t4 * model->c7;
     const double t56 = t33 * t55;
+    /* towards S, z */
     const double t57 = t4 + t8;
+    /* towards S, z, pivots of Q */
     const double t58 = t34 * t55;
     const double t59 = t54 + t58;
     const double t60 = t14 * model->c7;
+    /* towards S, z */
     const double t61 = t14 + t16;
+    /* towards S, z, pivots of Q */
     const double t62 = t38 * t60;
     const double t63 = t39 * t60;
     const double t64 = t59 + t63;
     const double t65 = t45 * t64;
+    /* towards S, z */
     const double t66 = t17 * t65;
     const double t67 = t66 - t61;
+    /* towards S, z, pivots of Q */
     const double t68 = t47 * t49;
     const double t69 = t27 * t51;
     const double t70 = t68 + t69;
@@ -1808,7 +1944,9 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t74 = t64 * t65;
     const double t75 = t73 - t74;
     const double t76 = 1.0 / t75;
+    /* towards S, z */
     const double t77 = t67 * t76;
+    /* towards S, z, pivots of Q */
     const double t78 = t8 * model->c1;
     const double t79 = t47 * t78;
     const double t80 = t16 * model->c1;
@@ -1822,16 +1960,23 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t88 = t45 * t87;
     const double t89 = t64 * t88;
     const double t90 = t83 - t89;
+    /* towards S, z */
     const double t91 = t17 * t88;
     const double t92 = t91 - t16;
+    /* towards S, z, pivots of Q */
     const double t93 = t87 * t88;
     const double t94 = model->c8 - t93;
+    /* towards S, z */
     const double t95 = t9 * t45;
+    /* towards S, z, pivots of Q */
     const double t96 = t76 * t90;
+    /* towards S, z */
     const double t97 = t67 * t96;
     const double t98 = t92 - t97;
+    /* towards S, z, pivots of Q */
     const double t99 = t90 * t96;
     const double t100 = t94 - t99;
+    /* towards S, z */
     const double t101 = 1.0 / t100;
     const double t102 = t98 * t101;
     const double t103 = t96 * t102;
@@ -1854,6 +1999,7 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     const double t120 = t95 - t119;
     const double t121 = t88 * t116;
     const double t122 = t120 - t121;
+    /* towards z */
     const double t123 = model->a[0] * t13;
     const double t124 = in->u[0] + in->u[1];
     const double t125 = t3.sin * t124;
@@ -1991,7 +2137,7 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = t246;
     z[1] = t249;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t44;
     mass_scale[0] = t44;
     mass_pivot[1] = t75;
@@ -2109,7 +2255,8 @@ int planar_arm_3r_prepare(const planar_arm_3r_params *params, planar_arm_3r_mode
 int planar_arm_3r_psi(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *psi)
 {
     double new_psi[2];
-    if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r_dot, 2) && planar_arm_3r_finite(in->r_ddot, 2))) {
+    if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r_dot, 2)
+            && planar_arm_3r_finite(in->r_ddot, 2))) {
         return planar_arm_3r_reason(PLANAR_ARM_3R_NONFINITE, in);
     }
     planar_arm_3r_eval_psi(model, in, new_psi);
@@ -2125,7 +2272,8 @@ int planar_arm_3r_S(const planar_arm_3r_model *model, const planar_arm_3r_input 
     double new_S[6];
     double mass_pivot[3], mass_scale[3];
     int status;
-    if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r, 2) && planar_arm_3r_finite(in->r_dot, 2) && planar_arm_3r_finite(in->r_ddot, 2))) {
+    if (!(planar_arm_3r_finite(in->u, 3) && planar_arm_3r_finite(in->r, 2) && planar_arm_3r_finite(in->r_dot, 2)
+            && planar_arm_3r_finite(in->r_ddot, 2))) {
         return planar_arm_3r_reason(PLANAR_ARM_3R_NONFINITE, in);
     }
     planar_arm_3r_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -2193,7 +2341,8 @@ int planar_arm_3r_pinv(const double *S, double *S_pinv, planar_arm_3r_info *info
     return planar_arm_3r_pinv_core(S, S_pinv, info);
 }
 
-int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *tau, planar_arm_3r_info *info)
+int planar_arm_3r_control(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *tau,
+    planar_arm_3r_info *info)
 {
     double S[6], z[2];
     double mass_pivot[3], mass_scale[3];

@@ -11,22 +11,65 @@
 #error "build planar_arm_3r_weighted_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE __attribute__((noinline))
+#define PLANAR_ARM_3R_WEIGHTED_F32_COLD __attribute__((noinline, cold))
+#define PLANAR_ARM_3R_WEIGHTED_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE
+#define PLANAR_ARM_3R_WEIGHTED_F32_COLD
+#define PLANAR_ARM_3R_WEIGHTED_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS 23
+#define PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS 127
+#define PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT (-16384)
+#define PLANAR_ARM_3R_WEIGHTED_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define PLANAR_ARM_3R_WEIGHTED_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 2 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define PLANAR_ARM_3R_WEIGHTED_F32_CONSISTENCY 0.000002861023f
+/* singular values at or below this part of the largest count as zero */
+#define PLANAR_ARM_3R_WEIGHTED_F32_RTOL 3.5762787e-7f
+#define PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_HIGH_0 167
+#define PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_LOW_1 87 /* exponents of row 1's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_HIGH_1 167
+#define PLANAR_ARM_3R_WEIGHTED_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define PLANAR_ARM_3R_WEIGHTED_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define PLANAR_ARM_3R_WEIGHTED_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define PLANAR_ARM_3R_WEIGHTED_F32_NORMAL_LIMIT 41285.094f
+#define PLANAR_ARM_3R_WEIGHTED_F32_QR_LIMIT 273656230000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+typedef union planar_arm_3r_weighted_f32_word {
     float value;
     uint32_t bits;
 } planar_arm_3r_weighted_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t planar_arm_3r_weighted_f32_magnitude(float x)
 {
     planar_arm_3r_weighted_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & PLANAR_ARM_3R_WEIGHTED_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t planar_arm_3r_weighted_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +108,20 @@ static float planar_arm_3r_weighted_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -PLANAR_ARM_3R_WEIGHTED_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS)
+        - PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS;
+    rest = (word.bits & (PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL - 1u))
+        | PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +129,8 @@ static float planar_arm_3r_weighted_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS - 1) << PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +150,13 @@ static int planar_arm_3r_weighted_f32_reduce_far(float x, float *hi, float *lo)
     float a, b, c, rest, top, product_hi, product_lo;
     planar_arm_3r_weighted_f32_word word;
     const uint32_t magnitude = planar_arm_3r_weighted_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS
+        + PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +199,8 @@ static int planar_arm_3r_weighted_f32_reduce_far(float x, float *hi, float *lo)
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int planar_arm_3r_weighted_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = planar_arm_3r_weighted_f32_magnitude(x);
@@ -169,7 +217,8 @@ static inline int planar_arm_3r_weighted_f32_reduce(float x, float *hi, float *l
         return quadrant;
     }
     {
-        planar_arm_3r_weighted_f32_word nearest; /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        /* adding 1.5 2^23 rounds to an integer, and leaves it in the low bits */
+        planar_arm_3r_weighted_f32_word nearest;
         float k, head, tail;
         nearest.value = x * 0.63661975f + 12582912.0f;
         k = nearest.value - 12582912.0f;
@@ -199,7 +248,7 @@ static float planar_arm_3r_weighted_f32_cos_near(float hi, float lo)
     return w + (((1.0f - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct planar_arm_3r_weighted_f32_pair {
     float sin, cos;
 } planar_arm_3r_weighted_f32_pair;
 
@@ -226,59 +275,59 @@ static planar_arm_3r_weighted_f32_pair planar_arm_3r_weighted_f32_sincos(float x
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define PLANAR_ARM_3R_WEIGHTED_F32_APART __attribute__((noinline))
-#else
-#define PLANAR_ARM_3R_WEIGHTED_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN to PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX, by writing its
+   exponent. */
 static float planar_arm_3r_weighted_f32_power(int k)
 {
     planar_arm_3r_weighted_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS) << PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float planar_arm_3r_weighted_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN && k <= PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX) {
         return x * planar_arm_3r_weighted_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= planar_arm_3r_weighted_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX; ++step) {
+        x *= planar_arm_3r_weighted_f32_power(PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX);
+        k -= PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= planar_arm_3r_weighted_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN; ++step) {
+        x *= planar_arm_3r_weighted_f32_power(PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN
+            + PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS + 1);
+        k -= PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN + PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX) {
+        k = PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN) {
+        k = PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN;
     }
     return x * planar_arm_3r_weighted_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+   for zero. */
 static int planar_arm_3r_weighted_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL) {
         planar_arm_3r_weighted_f32_word word;
         word.bits = magnitude;
-        magnitude = planar_arm_3r_weighted_f32_magnitude(word.value * planar_arm_3r_weighted_f32_power(32));
-        lift = 32;
+        magnitude = planar_arm_3r_weighted_f32_magnitude(word.value
+            * planar_arm_3r_weighted_f32_power(PLANAR_ARM_3R_WEIGHTED_F32_SUBNORMAL_LIFT));
+        lift = PLANAR_ARM_3R_WEIGHTED_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS) - PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS
+        - lift;
 }
 
 static float planar_arm_3r_weighted_f32_abs(float x)
@@ -286,69 +335,73 @@ static float planar_arm_3r_weighted_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t planar_arm_3r_weighted_f32_biased(float x)
 {
     planar_arm_3r_weighted_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t planar_arm_3r_weighted_f32_biased_square(float square)
 {
     planar_arm_3r_weighted_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> PLANAR_ARM_3R_WEIGHTED_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int planar_arm_3r_weighted_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
-#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+#define PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_WEIGHTED_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR inline __attribute__((always_inline))
-#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+#define PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define PLANAR_ARM_3R_WEIGHTED_F32_UNROLL
 #elif defined(__clang__)
-#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
-#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT /* it does so by itself */
+#define PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_WEIGHTED_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define PLANAR_ARM_3R_WEIGHTED_F32_NEAR
-#define PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS
+#define PLANAR_ARM_3R_WEIGHTED_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_spread(const float *restrict v, float factor, float *restrict w)
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS void planar_arm_3r_weighted_f32_spread(const float *restrict v,
+    float factor, float *restrict w)
 {
     int k;
-    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+    PLANAR_ARM_3R_WEIGHTED_F32_UNROLL
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS void planar_arm_3r_weighted_f32_gather(const float *restrict w,
+    float *restrict v)
 {
     int k;
-    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+    PLANAR_ARM_3R_WEIGHTED_F32_UNROLL
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR float planar_arm_3r_weighted_f32_inner(const float *a, const float *b)
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS float planar_arm_3r_weighted_f32_inner(const float *a,
+    const float *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-typedef struct {
+typedef struct planar_arm_3r_weighted_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
 } planar_arm_3r_weighted_f32_normal;
@@ -356,8 +409,8 @@ typedef struct {
 /* Factorises B B^T, B [2*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2.9e-06, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 2.9e-06, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int planar_arm_3r_weighted_f32_normal_factor(const float *B, planar_arm_3r_weighted_f32_normal *f)
 {
     const float g_0_0 = planar_arm_3r_weighted_f32_inner(B, B);
@@ -367,25 +420,28 @@ static int planar_arm_3r_weighted_f32_normal_factor(const float *B, planar_arm_3
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_biased_square(g_0_0), 87, 167) || !planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_biased_square(g_1_1), 87, 167)) {
+    if (!planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_biased_square(g_0_0),
+            PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_LOW_0, PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_HIGH_0)
+            || !planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_biased_square(g_1_1),
+            PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_LOW_1, PLANAR_ARM_3R_WEIGHTED_F32_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > PLANAR_ARM_3R_WEIGHTED_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > PLANAR_ARM_3R_WEIGHTED_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     n_1_0 = planar_arm_3r_weighted_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= PLANAR_ARM_3R_WEIGHTED_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -395,7 +451,8 @@ static int planar_arm_3r_weighted_f32_normal_factor(const float *B, planar_arm_3
 }
 
 /* w = (B B^T)^-1 r. */
-static void planar_arm_3r_weighted_f32_normal_solve(const planar_arm_3r_weighted_f32_normal *f, const float *r, float *w)
+static void planar_arm_3r_weighted_f32_normal_solve(const planar_arm_3r_weighted_f32_normal *f, const float *r,
+    float *w)
 {
     const float a_0 = r[0];
     const float a_1 = r[1] - f->lower[0] * a_0;
@@ -406,15 +463,16 @@ static void planar_arm_3r_weighted_f32_normal_solve(const planar_arm_3r_weighted
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct planar_arm_3r_weighted_f32_line {
     float p[3];
     float l[2];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } planar_arm_3r_weighted_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct planar_arm_3r_weighted_f32_qr {
     planar_arm_3r_weighted_f32_line line[2];
     planar_arm_3r_weighted_f32_line *at[2];
     float left[2];    /* squared length of at[k]->p */
@@ -425,7 +483,8 @@ typedef struct {
 } planar_arm_3r_weighted_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR float planar_arm_3r_weighted_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS float planar_arm_3r_weighted_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -462,7 +521,7 @@ static void planar_arm_3r_weighted_f32_qr_reduce(planar_arm_3r_weighted_f32_qr *
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -495,8 +554,8 @@ static void planar_arm_3r_weighted_f32_qr_factor(const float *B, planar_arm_3r_w
     planar_arm_3r_weighted_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int planar_arm_3r_weighted_f32_qr_certified(const planar_arm_3r_weighted_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -510,10 +569,11 @@ static int planar_arm_3r_weighted_f32_qr_certified(const planar_arm_3r_weighted_
     n_1_0 = planar_arm_3r_weighted_f32_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
-    return bound * total < 273656230000.0f;
+    return bound * total < PLANAR_ARM_3R_WEIGHTED_F32_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void planar_arm_3r_weighted_f32_triangle(float *t, int first, float *sigma)
 {
@@ -543,8 +603,8 @@ static void planar_arm_3r_weighted_f32_triangle(float *t, int first, float *sigm
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int planar_arm_3r_weighted_f32_svd(const planar_arm_3r_weighted_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -566,9 +626,9 @@ static int planar_arm_3r_weighted_f32_svd(const planar_arm_3r_weighted_f32_qr *f
     return 1;
 }
 
-typedef struct {
+typedef struct planar_arm_3r_weighted_f32_factors {
     float B[6];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT where a row counts as zero */
     planar_arm_3r_weighted_f32_normal normal;
     planar_arm_3r_weighted_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -583,9 +643,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } planar_arm_3r_weighted_f32_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void planar_arm_3r_weighted_f32_undo_scaling(planar_arm_3r_weighted_f32_factors *f, int top)
 {
     float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -603,7 +664,7 @@ static void planar_arm_3r_weighted_f32_undo_scaling(planar_arm_3r_weighted_f32_f
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0f :
+            F[2 * k + i] = exponent == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT ? 0.0f :
                 planar_arm_3r_weighted_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -680,18 +741,20 @@ static void planar_arm_3r_weighted_f32_undo_scaling(planar_arm_3r_weighted_f32_f
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT. */
 static void planar_arm_3r_weighted_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 3 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MAX
+                && exponent[i] <= -PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_MIN) {
             planar_arm_3r_weighted_f32_spread(row, planar_arm_3r_weighted_f32_power(-exponent[i]), B + 3 * i);
         } else {
             float shifted[3];
             for (j = 0; j < 3; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : planar_arm_3r_weighted_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+                    ? 0.0f : planar_arm_3r_weighted_f32_shift(row[j], -exponent[i]);
             }
             planar_arm_3r_weighted_f32_spread(shifted, 1.0f, B + 3 * i);
         }
@@ -708,7 +771,8 @@ static int planar_arm_3r_weighted_f32_length(const float *row, int exponent)
         shifted[j] = planar_arm_3r_weighted_f32_shift(row[j], -exponent);
     }
     planar_arm_3r_weighted_f32_spread(shifted, 1.0f, padded);
-    return exponent + planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_magnitude(planar_arm_3r_weighted_f32_inner(padded, padded))) / 2;
+    return exponent + planar_arm_3r_weighted_f32_exponent(
+        planar_arm_3r_weighted_f32_magnitude(planar_arm_3r_weighted_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -754,8 +818,10 @@ static void planar_arm_3r_weighted_f32_vectors(planar_arm_3r_weighted_f32_factor
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise_svd(const float *S, planar_arm_3r_weighted_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_factorise_svd(const float *S,
+    planar_arm_3r_weighted_f32_factors *f, int top, int bottom)
 {
     float u[4];
     int i;
@@ -765,7 +831,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 3.5762787e-7f * f->sigma[0];
+        f->rank += f->sigma[i] > PLANAR_ARM_3R_WEIGHTED_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -773,7 +839,8 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
         if (f->rank > 0 && bottom != top) {
             planar_arm_3r_weighted_f32_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+                    ? PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT : top;
             }
             planar_arm_3r_weighted_f32_scale(S, f->exponent, f->B);
         }
@@ -782,21 +849,23 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
 }
 
 /* The ladder, from the step `from` on. */
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise(const float *S, planar_arm_3r_weighted_f32_factors *f, int from)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_factorise(const float *S,
+    planar_arm_3r_weighted_f32_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
+    int bottom = -PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         planar_arm_3r_weighted_f32_word word;
         word.bits = planar_arm_3r_weighted_f32_largest(S + 3 * i, 3);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS) {
             return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
         if (word.value > 0.0f) {
-            f->exponent[i] = planar_arm_3r_weighted_f32_length(S + 3 * i, planar_arm_3r_weighted_f32_exponent(word.bits));
+            f->exponent[i] = planar_arm_3r_weighted_f32_length(S + 3 * i,
+                planar_arm_3r_weighted_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
             bottom = f->exponent[i] < bottom ? f->exponent[i] : bottom;
             ++active;
@@ -810,7 +879,8 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
         int known = 1;
         f->rank = 2;
         f->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL;
-        if (from > PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL || planar_arm_3r_weighted_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL
+                || planar_arm_3r_weighted_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR;
             f->direct = 1;
             planar_arm_3r_weighted_f32_qr_factor(f->B, &f->qr);
@@ -827,7 +897,8 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_factorise
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static PLANAR_ARM_3R_WEIGHTED_F32_APART float planar_arm_3r_weighted_f32_sigma_min(const float *S, planar_arm_3r_weighted_f32_factors *f)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE float planar_arm_3r_weighted_f32_sigma_min(const float *S,
+    planar_arm_3r_weighted_f32_factors *f)
 {
     const uint32_t magnitude = planar_arm_3r_weighted_f32_largest(S, 6);
     const int top = magnitude == 0 ? 0 : planar_arm_3r_weighted_f32_exponent(magnitude);
@@ -844,12 +915,12 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART float planar_arm_3r_weighted_f32_sigma_m
     return planar_arm_3r_weighted_f32_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int planar_arm_3r_weighted_f32_refuse(int status, planar_arm_3r_weighted_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = PLANAR_ARM_3R_WEIGHTED_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -858,17 +929,19 @@ static int planar_arm_3r_weighted_f32_refuse(int status, planar_arm_3r_weighted_
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 2.86e-06 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= PLANAR_ARM_3R_WEIGHTED_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_largest(tau, 3));
     float t[3], rest[2];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[2];
-    int top = -16384;
+    int top = PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -876,9 +949,10 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : planar_arm_3r_weighted_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+            ? 0.0f : planar_arm_3r_weighted_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT) {
             const float yj = planar_arm_3r_weighted_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -888,17 +962,19 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
         const float *const row = S + 3 * i;
         const int row_unit = planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_largest(row, 3));
         const int z_unit = planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+            || tau_unit == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+            ? PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const float s = planar_arm_3r_weighted_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -908,24 +984,27 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
         }
         target = planar_arm_3r_weighted_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 0.000002861023f * (scale * planar_arm_3r_weighted_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = PLANAR_ARM_3R_WEIGHTED_F32_CONSISTENCY
+            * (scale * planar_arm_3r_weighted_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT) {
             rest[i] = planar_arm_3r_weighted_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : planar_arm_3r_weighted_f32_shift(planar_arm_3r_weighted_f32_sqrt(norm), top);
+    *residual = top == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+        ? 0.0f : planar_arm_3r_weighted_f32_shift(planar_arm_3r_weighted_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32_qr *f, const float *restrict r,
+    float *restrict x, int careful)
 {
     const planar_arm_3r_weighted_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -943,26 +1022,29 @@ static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32
 }
 
 /* x = S+ r from the normal equations. */
-static void planar_arm_3r_weighted_f32_normal_apply(const planar_arm_3r_weighted_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void planar_arm_3r_weighted_f32_normal_apply(const planar_arm_3r_weighted_f32_normal *f, const float *B,
+    const float *restrict r, float *restrict x)
 {
     float w[2];
     int j;
     planar_arm_3r_weighted_f32_normal_solve(f, r, w);
-    PLANAR_ARM_3R_WEIGHTED_F32_WRITTEN_OUT
+    PLANAR_ARM_3R_WEIGHTED_F32_UNROLL
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3];
     }
 }
 
 /* r = z - B t. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS void planar_arm_3r_weighted_f32_residual(const float *B,
+    const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - planar_arm_3r_weighted_f32_inner(B, t);
     r[1] = z[1] - planar_arm_3r_weighted_f32_inner(B + 3, t);
 }
 
 /* x = S+ r, from the step of the ladder that held. */
-static void planar_arm_3r_weighted_f32_apply(const planar_arm_3r_weighted_f32_factors *f, const float *r, float *x, int careful)
+static void planar_arm_3r_weighted_f32_apply(const planar_arm_3r_weighted_f32_factors *f, const float *r, float *x,
+    int careful)
 {
     int i, j, k;
     if (f->path == PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL) {
@@ -989,14 +1071,16 @@ static void planar_arm_3r_weighted_f32_apply(const planar_arm_3r_weighted_f32_fa
     }
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info, int from)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_solve_scaled(const float *S, const float *z,
+    const float *y, float *tau, planar_arm_3r_weighted_f32_info *info, int from)
 {
     planar_arm_3r_weighted_f32_factors f;
     float zs[2], ys[3], r[2], x[3], answer[3];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
     int status, i, j;
-    if (planar_arm_3r_weighted_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && planar_arm_3r_weighted_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
+    if (planar_arm_3r_weighted_f32_largest(z, 2) >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS
+            || (y != NULL && planar_arm_3r_weighted_f32_largest(y, 3) >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS)) {
         return planar_arm_3r_weighted_f32_refuse(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, info);
     }
     status = planar_arm_3r_weighted_f32_factorise(S, &f, from);
@@ -1009,15 +1093,17 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_sca
     }
     for (i = 0; i < 2; ++i) {
         const int own = planar_arm_3r_weighted_f32_exponent(planar_arm_3r_weighted_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT && own != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : planar_arm_3r_weighted_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT
+            ? 0.0f : planar_arm_3r_weighted_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0f : planar_arm_3r_weighted_f32_shift(y[j], -unit);
@@ -1039,13 +1125,14 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_sca
             answer[j] += planar_arm_3r_weighted_f32_shift(x[j], unit);
         }
     }
-    if (planar_arm_3r_weighted_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {
+    if (planar_arm_3r_weighted_f32_largest(answer, 3) >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS) {
         return planar_arm_3r_weighted_f32_refuse(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
         const int met = planar_arm_3r_weighted_f32_consistent(S, z, y, answer, &residual);
         if (f.rank < 2) {
-            status = met ? PLANAR_ARM_3R_WEIGHTED_F32_RANK_DEFICIENT_CONSISTENT : PLANAR_ARM_3R_WEIGHTED_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? PLANAR_ARM_3R_WEIGHTED_F32_RANK_DEFICIENT_CONSISTENT
+                : PLANAR_ARM_3R_WEIGHTED_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1062,7 +1149,8 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_sca
     return status;
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_APART void planar_arm_3r_weighted_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, planar_arm_3r_weighted_f32_info *info)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE void planar_arm_3r_weighted_f32_report(const float *S, const float *z,
+    const float *y, const float *tau, int path, planar_arm_3r_weighted_f32_info *info)
 {
     planar_arm_3r_weighted_f32_factors f;
     (void)planar_arm_3r_weighted_f32_consistent(S, z, y, tau, &info->residual);
@@ -1075,7 +1163,9 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART void planar_arm_3r_weighted_f32_report(c
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_correct(const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS void planar_arm_3r_weighted_f32_correct(
+    const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *B,
+    const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         planar_arm_3r_weighted_f32_qr_apply(qr, r, x, careful);
@@ -1085,7 +1175,9 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NEAR void planar_arm_3r_weighted_f32_correct(c
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NEAR int planar_arm_3r_weighted_f32_answer(const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *S, const float *B,
+static PLANAR_ARM_3R_WEIGHTED_F32_INLINE_WITH_VECTORS int planar_arm_3r_weighted_f32_answer(
+    const planar_arm_3r_weighted_f32_normal *normal, const planar_arm_3r_weighted_f32_qr *qr, const float *S,
+    const float *B,
     const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
 {
     float r[2], x[3], step[3];
@@ -1110,13 +1202,16 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NEAR int planar_arm_3r_weighted_f32_answer(con
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!planar_arm_3r_weighted_f32_within(planar_arm_3r_weighted_f32_biased_square(planar_arm_3r_weighted_f32_inner(x, x)), 27, 237)) {
+    if (!planar_arm_3r_weighted_f32_within(
+            planar_arm_3r_weighted_f32_biased_square(planar_arm_3r_weighted_f32_inner(x, x)),
+            PLANAR_ARM_3R_WEIGHTED_F32_ANSWER_LOW, PLANAR_ARM_3R_WEIGHTED_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         float answer[3];
         planar_arm_3r_weighted_f32_gather(x, answer);
-        planar_arm_3r_weighted_f32_report(S, z, y, answer, qr != NULL ? PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR : PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL, info);
+        planar_arm_3r_weighted_f32_report(S, z, y, answer,
+            qr != NULL ? PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR : PLANAR_ARM_3R_WEIGHTED_F32_PATH_NORMAL, info);
     }
     planar_arm_3r_weighted_f32_gather(x, tau);
     return 1;
@@ -1129,10 +1224,12 @@ static int planar_arm_3r_weighted_f32_qr_scaled(const float *B, planar_arm_3r_we
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = planar_arm_3r_weighted_f32_inner(B + 3 * i, B + 3 * i);
-        exponent[i] = (planar_arm_3r_weighted_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        /* of the length */
+        exponent[i] = (planar_arm_3r_weighted_f32_biased(f->left[i]) + PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS) / 2;
     }
     for (i = 0; i < 2; ++i) {
-        const float unit = planar_arm_3r_weighted_f32_power(127 - (int)exponent[i]);
+        const float unit = planar_arm_3r_weighted_f32_power(PLANAR_ARM_3R_WEIGHTED_F32_EXPONENT_BIAS
+            - (int)exponent[i]);
         for (j = 0; j < 3; ++j) {
             f->line[i].p[j] = unit * B[3 * i + j];
         }
@@ -1144,18 +1241,21 @@ static int planar_arm_3r_weighted_f32_qr_scaled(const float *B, planar_arm_3r_we
     return planar_arm_3r_weighted_f32_qr_certified(f);
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_solve_qr(const float *S, const float *z,
+    const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
 {
     planar_arm_3r_weighted_f32_qr f;
     const float *const B = S;
 
-    if (planar_arm_3r_weighted_f32_qr_scaled(B, &f) && planar_arm_3r_weighted_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
+    if (planar_arm_3r_weighted_f32_qr_scaled(B, &f)
+            && planar_arm_3r_weighted_f32_answer(NULL, &f, S, B, z, y, tau, info)) {
         return PLANAR_ARM_3R_WEIGHTED_F32_OK;
     }
     return planar_arm_3r_weighted_f32_solve_scaled(S, z, y, tau, info, PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR);
 }
 
-static int planar_arm_3r_weighted_f32_solve_core(const float *S, const float *z, const float *y, float *tau, planar_arm_3r_weighted_f32_info *info)
+static int planar_arm_3r_weighted_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    planar_arm_3r_weighted_f32_info *info)
 {
     planar_arm_3r_weighted_f32_normal f;
     int held;
@@ -1172,7 +1272,8 @@ static int planar_arm_3r_weighted_f32_solve_core(const float *S, const float *z,
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_pinv_core(const float *S, float *S_pinv, planar_arm_3r_weighted_f32_info *info)
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_pinv_core(const float *S, float *S_pinv,
+    planar_arm_3r_weighted_f32_info *info)
 {
     planar_arm_3r_weighted_f32_factors f;
     float unit[2], x[3], answer[6];
@@ -1185,7 +1286,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_pinv_core
         unit[i] = 0.0f;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         planar_arm_3r_weighted_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1193,7 +1294,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_pinv_core
             answer[2 * j + i] = zero_row ? 0.0f : planar_arm_3r_weighted_f32_shift(x[j], -f.exponent[i]);
         }
     }
-    if (planar_arm_3r_weighted_f32_largest(answer, 6) >= UINT32_C(0x7f800000)) {
+    if (planar_arm_3r_weighted_f32_largest(answer, 6) >= PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS) {
         return planar_arm_3r_weighted_f32_refuse(PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW, info);
     }
     status = f.rank < 2 ? PLANAR_ARM_3R_WEIGHTED_F32_RANK_DEFICIENT_CONSISTENT : PLANAR_ARM_3R_WEIGHTED_F32_OK;
@@ -1211,7 +1312,7 @@ static PLANAR_ARM_3R_WEIGHTED_F32_APART int planar_arm_3r_weighted_f32_pinv_core
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void planar_arm_3r_weighted_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1222,10 +1323,12 @@ static void planar_arm_3r_weighted_f32_copy(const float *from, float *to, int n)
 
 static int planar_arm_3r_weighted_f32_finite(const float *x, int n)
 {
-    return planar_arm_3r_weighted_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return planar_arm_3r_weighted_f32_largest(x, n) < PLANAR_ARM_3R_WEIGHTED_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* PLANAR_ARM_3R_WEIGHTED_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale.
+   Pivots come in the order of elimination, and the first bad one decides: those behind it have been divided by
+   noise. */
 static int planar_arm_3r_weighted_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1240,7 +1343,7 @@ static int planar_arm_3r_weighted_f32_mass_status(const float *pivot, const floa
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int planar_arm_3r_weighted_f32_input_finite(const planar_arm_3r_weighted_f32_input *in)
 {
     return planar_arm_3r_weighted_f32_finite(in->q, 3)
@@ -1250,18 +1353,10 @@ static int planar_arm_3r_weighted_f32_input_finite(const planar_arm_3r_weighted_
            && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define PLANAR_ARM_3R_WEIGHTED_F32_COLD __attribute__((noinline, cold))
-#define PLANAR_ARM_3R_WEIGHTED_F32_SMALL inline __attribute__((always_inline))
-#else
-#define PLANAR_ARM_3R_WEIGHTED_F32_COLD
-#define PLANAR_ARM_3R_WEIGHTED_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(int status, const planar_arm_3r_weighted_f32_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(int status,
+    const planar_arm_3r_weighted_f32_input *in)
 {
     if (!planar_arm_3r_weighted_f32_input_finite(in)) {
         return PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE;
@@ -1269,8 +1364,10 @@ static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_reason(int
     return status == PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE ? PLANAR_ARM_3R_WEIGHTED_F32_OVERFLOW : status;
 }
 
-static PLANAR_ARM_3R_WEIGHTED_F32_SMALL void planar_arm_3r_weighted_f32_eval_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
+static PLANAR_ARM_3R_WEIGHTED_F32_ALWAYS_INLINE void planar_arm_3r_weighted_f32_eval_psi(
+    const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
 {
+    /* towards psi */
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;
     const float t2 = in->q[0] + in->q[1];
@@ -1294,8 +1391,10 @@ static PLANAR_ARM_3R_WEIGHTED_F32_SMALL void planar_arm_3r_weighted_f32_eval_psi
 }
 
 
-static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
+static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
+    /* towards S, pivots of Q */
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;
     const float t2 = in->q[0] + in->q[1];
@@ -1308,7 +1407,9 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     const planar_arm_3r_weighted_f32_pair t9 = planar_arm_3r_weighted_f32_sincos(t8);
     const float t10 = model->a[2] * t9.cos;
     const float t11 = t9.cos * model->c0;
+    /* towards S */
     const float t12 = t6 + t10;
+    /* towards S, pivots of Q */
     const float t13 = t6 + t11;
     const float t14 = t4 + t11;
     const float t15 = model->a[0] * t0.sin;
@@ -1318,7 +1419,9 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     const float t19 = t15 + t17;
     const float t20 = model->a[2] * t9.sin;
     const float t21 = t9.sin * model->c0;
+    /* towards S */
     const float t22 = t18 + t20;
+    /* towards S, pivots of Q */
     const float t23 = t18 + t21;
     const float t24 = t16 + t21;
     const float t25 = t13 + t13;
@@ -1338,7 +1441,9 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     const float t39 = t38 + model->c5;
     const float t40 = t39 + model->c6;
     const float t41 = 1.0f / t40;
+    /* towards S */
     const float t42 = t22 * t41;
+    /* towards S, pivots of Q */
     const float t43 = model->m[2] * t14;
     const float t44 = t13 * t43;
     const float t45 = t14 * t43;
@@ -1354,20 +1459,28 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     const float t55 = t49 + t54;
     const float t56 = t5 * t53;
     const float t57 = t52 + t56;
+    /* towards S */
     const float t58 = t4 + t10;
+    /* towards S, pivots of Q */
     const float t59 = t16 * model->c7;
     const float t60 = t19 * t59;
     const float t61 = t55 + t60;
     const float t62 = t17 * t59;
     const float t63 = t57 + t62;
+    /* towards S */
     const float t64 = t16 + t20;
+    /* towards S, pivots of Q */
     const float t65 = t41 * t61;
+    /* towards S */
     const float t66 = t22 * t65;
     const float t67 = t66 - t64;
+    /* towards S, pivots of Q */
     const float t68 = t61 * t65;
     const float t69 = t63 - t68;
     const float t70 = 1.0f / t69;
+    /* towards S */
     const float t71 = t67 * t70;
+    /* towards S, pivots of Q */
     const float t72 = t10 * model->c1;
     const float t73 = t14 * t72;
     const float t74 = t13 * t72;
@@ -1381,16 +1494,23 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     const float t82 = t41 * t81;
     const float t83 = t61 * t82;
     const float t84 = t80 - t83;
+    /* towards S */
     const float t85 = t22 * t82;
     const float t86 = t85 - t20;
+    /* towards S, pivots of Q */
     const float t87 = t81 * t82;
     const float t88 = model->c8 - t87;
+    /* towards S */
     const float t89 = t12 * t41;
+    /* towards S, pivots of Q */
     const float t90 = t70 * t84;
+    /* towards S */
     const float t91 = t67 * t90;
     const float t92 = t86 - t91;
+    /* towards S, pivots of Q */
     const float t93 = t84 * t90;
     const float t94 = t88 - t93;
+    /* towards S */
     const float t95 = 1.0f / t94;
     const float t96 = t92 * t95;
     const float t97 = t90 * t96;
@@ -1420,7 +1540,7 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     S[3] = t116;
     S[4] = t112;
     S[5] = t110;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t40;
     mass_scale[0] = t40;
     mass_pivot[1] = t69;
@@ -1430,8 +1550,10 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
 }
 
 
-static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
+static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
 {
+    /* towards z, pivots of Q */
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;
     const float t2 = in->q[0] + in->q[1];
@@ -1441,17 +1563,23 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     const float t6 = t2 + in->q[2];
     const planar_arm_3r_weighted_f32_pair t7 = planar_arm_3r_weighted_f32_sincos(t6);
     const float t8 = model->a[2] * t7.cos;
+    /* towards z */
     const float t9 = t5 + t8;
     const float t10 = t9 - in->r[0];
     const float t11 = t10 * 8.0f;
+    /* towards z, pivots of Q */
     const float t12 = model->a[0] * t0.sin;
+    /* towards z */
     const float t13 = t0.sin * in->u[0];
+    /* towards z, pivots of Q */
     const float t14 = model->a[1] * t3.sin;
     const float t15 = t12 + t14;
     const float t16 = model->a[2] * t7.sin;
+    /* towards z */
     const float t17 = t15 + t16;
     const float t18 = t17 - in->r[1];
     const float t19 = t18 * 8.0f;
+    /* towards z, pivots of Q */
     const float t20 = t7.cos * model->c0;
     const float t21 = t5 + t20;
     const float t22 = t21 + t21;
@@ -1479,7 +1607,9 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     const float t44 = t43 + model->c6;
     const float t45 = 1.0f / t44;
     const float t46 = t4 + t20;
+    /* towards z */
     const float t47 = t20 * model->c9;
+    /* towards z, pivots of Q */
     const float t48 = model->m[2] * t46;
     const float t49 = t21 * t48;
     const float t50 = model->m[2] * t27;
@@ -1488,17 +1618,23 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     const float t53 = model->c3 + t52;
     const float t54 = t4 * model->c7;
     const float t55 = t33 * t54;
+    /* towards z */
     const float t56 = t4 + t8;
+    /* towards z, pivots of Q */
     const float t57 = t34 * t54;
     const float t58 = t53 + t57;
     const float t59 = t14 * model->c7;
+    /* towards z */
     const float t60 = t14 + t16;
+    /* towards z, pivots of Q */
     const float t61 = t38 * t59;
     const float t62 = t39 * t59;
     const float t63 = t58 + t62;
     const float t64 = t45 * t63;
+    /* towards z */
     const float t65 = t17 * t64;
     const float t66 = t65 - t60;
+    /* towards z, pivots of Q */
     const float t67 = t46 * t48;
     const float t68 = t27 * t50;
     const float t69 = t67 + t68;
@@ -1526,6 +1662,7 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     const float t91 = model->c8 - t90;
     const float t92 = t88 * t89;
     const float t93 = t91 - t92;
+    /* towards z */
     const float t94 = t17 * t86;
     const float t95 = t94 - t16;
     const float t96 = t66 * t89;
@@ -1687,7 +1824,7 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = t248;
     z[1] = t251;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t44;
     mass_scale[0] = t44;
     mass_pivot[1] = t74;
@@ -1697,8 +1834,10 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
 }
 
 
-static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
+static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
 {
+    /* towards S, z, pivots of Q */
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;
     const float t2 = in->q[0] + in->q[1];
@@ -1708,17 +1847,25 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t6 = t2 + in->q[2];
     const planar_arm_3r_weighted_f32_pair t7 = planar_arm_3r_weighted_f32_sincos(t6);
     const float t8 = model->a[2] * t7.cos;
+    /* towards S, z */
     const float t9 = t5 + t8;
+    /* towards z */
     const float t10 = t9 - in->r[0];
     const float t11 = t10 * 8.0f;
+    /* towards S, z, pivots of Q */
     const float t12 = model->a[0] * t0.sin;
+    /* towards z */
     const float t13 = t0.sin * in->u[0];
+    /* towards S, z, pivots of Q */
     const float t14 = model->a[1] * t3.sin;
     const float t15 = t12 + t14;
     const float t16 = model->a[2] * t7.sin;
+    /* towards S, z */
     const float t17 = t15 + t16;
+    /* towards z */
     const float t18 = t17 - in->r[1];
     const float t19 = t18 * 8.0f;
+    /* towards S, z, pivots of Q */
     const float t20 = t7.cos * model->c0;
     const float t21 = t5 + t20;
     const float t22 = t21 + t21;
@@ -1745,9 +1892,13 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t43 = t42 + model->c5;
     const float t44 = t43 + model->c6;
     const float t45 = 1.0f / t44;
+    /* towards S */
     const float t46 = t17 * t45;
+    /* towards S, z, pivots of Q */
     const float t47 = t4 + t20;
+    /* towards z */
     const float t48 = t20 * model->c9;
+    /* towards S, z, pivots of Q */
     const float t49 = model->m[2] * t47;
     const float t50 = t21 * t49;
     const float t51 = model->m[2] * t27;
@@ -1756,17 +1907,23 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t54 = model->c3 + t53;
     const float t55 = t4 * model->c7;
     const float t56 = t33 * t55;
+    /* towards S, z */
     const float t57 = t4 + t8;
+    /* towards S, z, pivots of Q */
     const float t58 = t34 * t55;
     const float t59 = t54 + t58;
     const float t60 = t14 * model->c7;
+    /* towards S, z */
     const float t61 = t14 + t16;
+    /* towards S, z, pivots of Q */
     const float t62 = t38 * t60;
     const float t63 = t39 * t60;
     const float t64 = t59 + t63;
     const float t65 = t45 * t64;
+    /* towards S, z */
     const float t66 = t17 * t65;
     const float t67 = t66 - t61;
+    /* towards S, z, pivots of Q */
     const float t68 = t47 * t49;
     const float t69 = t27 * t51;
     const float t70 = t68 + t69;
@@ -1776,7 +1933,9 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t74 = t64 * t65;
     const float t75 = t73 - t74;
     const float t76 = 1.0f / t75;
+    /* towards S */
     const float t77 = t67 * t76;
+    /* towards S, z, pivots of Q */
     const float t78 = t8 * model->c1;
     const float t79 = t47 * t78;
     const float t80 = t16 * model->c1;
@@ -1792,14 +1951,18 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t90 = t83 - t89;
     const float t91 = t87 * t88;
     const float t92 = model->c8 - t91;
+    /* towards S */
     const float t93 = t9 * t45;
+    /* towards S, z, pivots of Q */
     const float t94 = t76 * t90;
     const float t95 = t90 * t94;
     const float t96 = t92 - t95;
+    /* towards S, z */
     const float t97 = t17 * t88;
     const float t98 = t97 - t16;
     const float t99 = t67 * t94;
     const float t100 = t98 - t99;
+    /* towards S */
     const float t101 = 1.0f / t96;
     const float t102 = t100 * t101;
     const float t103 = t94 * t102;
@@ -1808,13 +1971,17 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t106 = t46 + t105;
     const float t107 = t88 * t102;
     const float t108 = t106 + t107;
+    /* towards S, z */
     const float t109 = t9 * t65;
     const float t110 = t57 - t109;
+    /* towards S */
     const float t111 = t76 * t110;
+    /* towards S, z */
     const float t112 = t9 * t88;
     const float t113 = t8 - t112;
     const float t114 = t94 * t110;
     const float t115 = t113 - t114;
+    /* towards S */
     const float t116 = t101 * t115;
     const float t117 = t94 * t116;
     const float t118 = t111 - t117;
@@ -1822,6 +1989,7 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     const float t120 = t93 - t119;
     const float t121 = t88 * t116;
     const float t122 = t120 - t121;
+    /* towards z */
     const float t123 = model->a[0] * t13;
     const float t124 = in->u[0] + in->u[1];
     const float t125 = t3.sin * t124;
@@ -1980,7 +2148,7 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     /* z = -psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi, Eqs. (9), (12) */
     z[0] = t267;
     z[1] = t270;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t44;
     mass_scale[0] = t44;
     mass_pivot[1] = t75;
@@ -1990,8 +2158,11 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
 }
 
 
-static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S_w, float *z, float *recover, float *mass_pivot, float *mass_scale)
+static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *S_w, float *z, float *recover, float *mass_pivot,
+    float *mass_scale)
 {
+    /* towards S_w, z, recover, pivots of Q */
     const planar_arm_3r_weighted_f32_pair t0 = planar_arm_3r_weighted_f32_sincos(in->q[0]);
     const float t1 = model->a[0] * t0.cos;
     const float t2 = in->q[0] + in->q[1];
@@ -2001,17 +2172,25 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t6 = t2 + in->q[2];
     const planar_arm_3r_weighted_f32_pair t7 = planar_arm_3r_weighted_f32_sincos(t6);
     const float t8 = model->a[2] * t7.cos;
+    /* towards S_w, z */
     const float t9 = t5 + t8;
+    /* towards z */
     const float t10 = t9 - in->r[0];
     const float t11 = t10 * 8.0f;
+    /* towards S_w, z, recover, pivots of Q */
     const float t12 = model->a[0] * t0.sin;
+    /* towards z */
     const float t13 = t0.sin * in->u[0];
+    /* towards S_w, z, recover, pivots of Q */
     const float t14 = model->a[1] * t3.sin;
     const float t15 = t12 + t14;
     const float t16 = model->a[2] * t7.sin;
+    /* towards S_w, z */
     const float t17 = t15 + t16;
+    /* towards z */
     const float t18 = t17 - in->r[1];
     const float t19 = t18 * 8.0f;
+    /* towards S_w, z, recover, pivots of Q */
     const float t20 = t7.cos * model->c0;
     const float t21 = t5 + t20;
     const float t22 = t21 + t21;
@@ -2039,7 +2218,9 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t44 = t43 + model->c6;
     const float t45 = 1.0f / t44;
     const float t46 = t4 + t20;
+    /* towards z */
     const float t47 = t20 * model->c9;
+    /* towards S_w, z, recover, pivots of Q */
     const float t48 = model->m[2] * t46;
     const float t49 = t21 * t48;
     const float t50 = model->m[2] * t27;
@@ -2048,17 +2229,23 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t53 = model->c3 + t52;
     const float t54 = t4 * model->c7;
     const float t55 = t33 * t54;
+    /* towards S_w, z */
     const float t56 = t4 + t8;
+    /* towards S_w, z, recover, pivots of Q */
     const float t57 = t34 * t54;
     const float t58 = t53 + t57;
     const float t59 = t14 * model->c7;
+    /* towards S_w, z */
     const float t60 = t14 + t16;
+    /* towards S_w, z, recover, pivots of Q */
     const float t61 = t38 * t59;
     const float t62 = t39 * t59;
     const float t63 = t58 + t62;
     const float t64 = t45 * t63;
+    /* towards S_w, z */
     const float t65 = t17 * t64;
     const float t66 = t65 - t60;
+    /* towards S_w, z, recover, pivots of Q */
     const float t67 = t46 * t48;
     const float t68 = t27 * t50;
     const float t69 = t67 + t68;
@@ -2086,6 +2273,7 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t91 = model->c8 - t90;
     const float t92 = t88 * t89;
     const float t93 = t91 - t92;
+    /* towards S_w, z */
     const float t94 = t17 * t86;
     const float t95 = t94 - t16;
     const float t96 = t66 * t89;
@@ -2096,6 +2284,7 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t101 = t8 - t100;
     const float t102 = t89 * t99;
     const float t103 = t101 - t102;
+    /* towards z */
     const float t104 = model->a[0] * t13;
     const float t105 = in->u[0] + in->u[1];
     const float t106 = t3.sin * t105;
@@ -2196,10 +2385,13 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t201 = 6.0f * t200;
     const float t202 = t201 + t19;
     const float t203 = t139 - t202;
+    /* towards S_w, z, recover */
     const float t204 = planar_arm_3r_weighted_f32_sqrt(t44);
+    /* towards S_w, z */
     const float t205 = 1.0f / t204;
     const float t206 = t17 * t205;
     const float t207 = t9 * t205;
+    /* towards z */
     const float t208 = in->u[2] * t173;
     const float t209 = t191 + t208;
     const float t210 = t209 + t148;
@@ -2207,18 +2399,23 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t212 = in->u[0] * t173;
     const float t213 = t206 * t211;
     const float t214 = t211 * t207;
+    /* towards S_w, z, recover */
     const float t215 = planar_arm_3r_weighted_f32_sqrt(t74);
+    /* towards S_w, z */
     const float t216 = 1.0f / t215;
     const float t217 = t66 * t216;
     const float t218 = t99 * t216;
+    /* towards z */
     const float t219 = t64 * t210;
     const float t220 = t193 + t219;
     const float t221 = t220 - t147;
     const float t222 = t86 * t210;
     const float t223 = t222 - t47;
     const float t224 = t223 - t212;
+    /* towards recover */
     const float t225 = t64 * t204;
     const float t226 = t86 * t204;
+    /* towards z */
     const float t227 = in->u[1] * t175;
     const float t228 = t221 - t227;
     const float t229 = 0.5f * t175;
@@ -2231,16 +2428,23 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     const float t236 = t89 * t232;
     const float t237 = t235 - t236;
     const float t238 = t194 + t237;
+    /* towards recover */
     const float t239 = t89 * t215;
+    /* towards z */
     const float t240 = t217 * t233;
     const float t241 = t213 + t240;
     const float t242 = t233 * t218;
     const float t243 = t242 - t214;
+    /* towards S_w, z, recover */
     const float t244 = planar_arm_3r_weighted_f32_sqrt(t93);
+    /* towards S_w, z */
     const float t245 = 1.0f / t244;
     const float t246 = t97 * t245;
+    /* towards z */
     const float t247 = t245 * t238;
+    /* towards S_w, z */
     const float t248 = t103 * t245;
+    /* towards z */
     const float t249 = t246 * t247;
     const float t250 = t241 + t249;
     const float t251 = t199 - t250;
@@ -2264,7 +2468,7 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     recover[3] = t226;
     recover[4] = t239;
     recover[5] = t244;
-    /* pivots of Q, and what they are small against */
+    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t44;
     mass_scale[0] = t44;
     mass_pivot[1] = t74;
@@ -2274,7 +2478,8 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
 }
 
 
-int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *params, planar_arm_3r_weighted_f32_model *model)
+int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *params,
+    planar_arm_3r_weighted_f32_model *model)
 {
     planar_arm_3r_weighted_f32_model ready;
     if (!planar_arm_3r_weighted_f32_finite(params->m, 3)) {
@@ -2379,10 +2584,12 @@ int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *psi)
+int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *psi)
 {
     float new_psi[2];
-    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2)
+            && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
         return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, in);
     }
     planar_arm_3r_weighted_f32_eval_psi(model, in, new_psi);
@@ -2393,12 +2600,14 @@ int planar_arm_3r_weighted_f32_psi(const planar_arm_3r_weighted_f32_model *model
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S)
+int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *S)
 {
     float new_S[6];
     float mass_pivot[3], mass_scale[3];
     int status;
-    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2) && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
+    if (!(planar_arm_3r_weighted_f32_finite(in->u, 3) && planar_arm_3r_weighted_f32_finite(in->r, 2)
+            && planar_arm_3r_weighted_f32_finite(in->r_dot, 2) && planar_arm_3r_weighted_f32_finite(in->r_ddot, 2))) {
         return planar_arm_3r_weighted_f32_reason(PLANAR_ARM_3R_WEIGHTED_F32_NONFINITE, in);
     }
     planar_arm_3r_weighted_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
@@ -2413,7 +2622,8 @@ int planar_arm_3r_weighted_f32_S(const planar_arm_3r_weighted_f32_model *model, 
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-int planar_arm_3r_weighted_f32_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *z)
+int planar_arm_3r_weighted_f32_z(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *z)
 {
     float new_z[2];
     float mass_pivot[3], mass_scale[3];
@@ -2430,7 +2640,8 @@ int planar_arm_3r_weighted_f32_z(const planar_arm_3r_weighted_f32_model *model, 
     return PLANAR_ARM_3R_WEIGHTED_F32_OK;
 }
 
-int planar_arm_3r_weighted_f32_S_z(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *S, float *z)
+int planar_arm_3r_weighted_f32_S_z(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *S, float *z)
 {
     float new_S[6];
     float new_z[2];
@@ -2456,7 +2667,8 @@ const planar_arm_3r_weighted_f32_params planar_arm_3r_weighted_f32_params_defaul
 };
 
 /* A failure and its reason, returned and told. */
-static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_failed(int status, const planar_arm_3r_weighted_f32_input *in, planar_arm_3r_weighted_f32_info *info)
+static PLANAR_ARM_3R_WEIGHTED_F32_COLD int planar_arm_3r_weighted_f32_failed(int status,
+    const planar_arm_3r_weighted_f32_input *in, planar_arm_3r_weighted_f32_info *info)
 {
     return planar_arm_3r_weighted_f32_refuse(planar_arm_3r_weighted_f32_reason(status, in), info);
 }
@@ -2466,7 +2678,8 @@ int planar_arm_3r_weighted_f32_pinv(const float *S, float *S_pinv, planar_arm_3r
     return planar_arm_3r_weighted_f32_pinv_core(S, S_pinv, info);
 }
 
-int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *model, const planar_arm_3r_weighted_f32_input *in, float *tau, planar_arm_3r_weighted_f32_info *info)
+int planar_arm_3r_weighted_f32_control(const planar_arm_3r_weighted_f32_model *model,
+    const planar_arm_3r_weighted_f32_input *in, float *tau, planar_arm_3r_weighted_f32_info *info)
 {
     float sigma[3], unweighted[3];
     float S_w[6], z[2], recover[6];

@@ -11,22 +11,78 @@
 #error "build quaternion_pointing_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 3 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define QUATERNION_POINTING_F32_NOINLINE __attribute__((noinline))
+#define QUATERNION_POINTING_F32_COLD __attribute__((noinline, cold))
+#define QUATERNION_POINTING_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define QUATERNION_POINTING_F32_NOINLINE
+#define QUATERNION_POINTING_F32_COLD
+#define QUATERNION_POINTING_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define QUATERNION_POINTING_F32_FRACTION_BITS 23
+#define QUATERNION_POINTING_F32_EXPONENT_BIAS 127
+#define QUATERNION_POINTING_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define QUATERNION_POINTING_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define QUATERNION_POINTING_F32_NO_EXPONENT (-16384)
+#define QUATERNION_POINTING_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define QUATERNION_POINTING_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define QUATERNION_POINTING_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define QUATERNION_POINTING_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 3 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define QUATERNION_POINTING_F32_CONSISTENCY 0.000002861023f /* a row whose relative residual is at most this is met */
+/* sqrt(3): a row within its atol is no longer than this times atol */
+#define QUATERNION_POINTING_F32_ROOT_L 1.7320508f
+/* singular values at or below this part of the largest count as zero */
+#define QUATERNION_POINTING_F32_RTOL 3.5762787e-7f
+#define QUATERNION_POINTING_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
+#define QUATERNION_POINTING_F32_SQUARE_HIGH_0 167
+#define QUATERNION_POINTING_F32_SQUARE_LOW_1 87 /* exponents of row 1's square with which nothing needs scaling */
+#define QUATERNION_POINTING_F32_SQUARE_HIGH_1 167
+#define QUATERNION_POINTING_F32_SQUARE_LOW_2 87 /* exponents of row 2's square with which nothing needs scaling */
+#define QUATERNION_POINTING_F32_SQUARE_HIGH_2 167
+#define QUATERNION_POINTING_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define QUATERNION_POINTING_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define QUATERNION_POINTING_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define QUATERNION_POINTING_F32_NORMAL_LIMIT 41285.094f
+#define QUATERNION_POINTING_F32_QR_LIMIT 273656230000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define QUATERNION_POINTING_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+/* eps^2: columns with less than this part of all squares are noise */
+#define QUATERNION_POINTING_F32_NEGLIGIBLE 1.4210855e-14f
+/* columns whose squared cosine is at most this are not rotated */
+#define QUATERNION_POINTING_F32_ORTHOGONAL 1.0658141e-14f
+#define QUATERNION_POINTING_F32_CONVERGED 1.7408297e-13f /* a sweep that met no larger squared cosine was the last */
+#define QUATERNION_POINTING_F32_SWEEP_CAP 7 /* sweeps of Jacobi's method at most: two more than were ever seen */
+/* the triangle is made this much larger, so that squares of squares stay in range */
+#define QUATERNION_POINTING_F32_LIFT 1048576.0f
+#define QUATERNION_POINTING_F32_LOWER 9.536743e-7f /* and its singular values this much smaller again */
+
+typedef union quaternion_pointing_f32_word {
     float value;
     uint32_t bits;
 } quaternion_pointing_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t quaternion_pointing_f32_magnitude(float x)
 {
     quaternion_pointing_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & QUATERNION_POINTING_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t quaternion_pointing_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +121,18 @@ static float quaternion_pointing_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= QUATERNION_POINTING_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < QUATERNION_POINTING_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -QUATERNION_POINTING_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> QUATERNION_POINTING_F32_FRACTION_BITS) - QUATERNION_POINTING_F32_EXPONENT_BIAS;
+    rest = (word.bits & (QUATERNION_POINTING_F32_SMALLEST_NORMAL - 1u)) | QUATERNION_POINTING_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = QUATERNION_POINTING_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,65 +140,65 @@ static float quaternion_pointing_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + QUATERNION_POINTING_F32_EXPONENT_BIAS - 1) << QUATERNION_POINTING_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define QUATERNION_POINTING_F32_APART __attribute__((noinline))
-#else
-#define QUATERNION_POINTING_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from QUATERNION_POINTING_F32_EXPONENT_MIN to QUATERNION_POINTING_F32_EXPONENT_MAX, by writing its
+   exponent. */
 static float quaternion_pointing_f32_power(int k)
 {
     quaternion_pointing_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + QUATERNION_POINTING_F32_EXPONENT_BIAS) << QUATERNION_POINTING_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float quaternion_pointing_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= QUATERNION_POINTING_F32_EXPONENT_MIN && k <= QUATERNION_POINTING_F32_EXPONENT_MAX) {
         return x * quaternion_pointing_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= quaternion_pointing_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > QUATERNION_POINTING_F32_EXPONENT_MAX; ++step) {
+        x *= quaternion_pointing_f32_power(QUATERNION_POINTING_F32_EXPONENT_MAX);
+        k -= QUATERNION_POINTING_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= quaternion_pointing_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < QUATERNION_POINTING_F32_EXPONENT_MIN; ++step) {
+        x *= quaternion_pointing_f32_power(QUATERNION_POINTING_F32_EXPONENT_MIN + QUATERNION_POINTING_F32_FRACTION_BITS
+            + 1);
+        k -= QUATERNION_POINTING_F32_EXPONENT_MIN + QUATERNION_POINTING_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > QUATERNION_POINTING_F32_EXPONENT_MAX) {
+        k = QUATERNION_POINTING_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < QUATERNION_POINTING_F32_EXPONENT_MIN) {
+        k = QUATERNION_POINTING_F32_EXPONENT_MIN;
     }
     return x * quaternion_pointing_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; QUATERNION_POINTING_F32_NO_EXPONENT for
+   zero. */
 static int quaternion_pointing_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return QUATERNION_POINTING_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < QUATERNION_POINTING_F32_SMALLEST_NORMAL) {
         quaternion_pointing_f32_word word;
         word.bits = magnitude;
-        magnitude = quaternion_pointing_f32_magnitude(word.value * quaternion_pointing_f32_power(32));
-        lift = 32;
+        magnitude = quaternion_pointing_f32_magnitude(word.value
+            * quaternion_pointing_f32_power(QUATERNION_POINTING_F32_SUBNORMAL_LIFT));
+        lift = QUATERNION_POINTING_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> QUATERNION_POINTING_F32_FRACTION_BITS) - QUATERNION_POINTING_F32_EXPONENT_BIAS - lift;
 }
 
 static float quaternion_pointing_f32_abs(float x)
@@ -150,69 +206,72 @@ static float quaternion_pointing_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t quaternion_pointing_f32_biased(float x)
 {
     quaternion_pointing_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (QUATERNION_POINTING_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t quaternion_pointing_f32_biased_square(float square)
 {
     quaternion_pointing_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> QUATERNION_POINTING_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int quaternion_pointing_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define QUATERNION_POINTING_F32_NEAR
-#define QUATERNION_POINTING_F32_WRITTEN_OUT
+#define QUATERNION_POINTING_F32_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define QUATERNION_POINTING_F32_NEAR inline __attribute__((always_inline))
-#define QUATERNION_POINTING_F32_WRITTEN_OUT
+#define QUATERNION_POINTING_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define QUATERNION_POINTING_F32_UNROLL
 #elif defined(__clang__)
-#define QUATERNION_POINTING_F32_NEAR
-#define QUATERNION_POINTING_F32_WRITTEN_OUT /* it does so by itself */
+#define QUATERNION_POINTING_F32_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define QUATERNION_POINTING_F32_NEAR
-#define QUATERNION_POINTING_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define QUATERNION_POINTING_F32_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_spread(const float *restrict v, float factor, float *restrict w)
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS void quaternion_pointing_f32_spread(const float *restrict v,
+    float factor, float *restrict w)
 {
     int k;
-    QUATERNION_POINTING_F32_WRITTEN_OUT
+    QUATERNION_POINTING_F32_UNROLL
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS void quaternion_pointing_f32_gather(const float *restrict w,
+    float *restrict v)
 {
     int k;
-    QUATERNION_POINTING_F32_WRITTEN_OUT
+    QUATERNION_POINTING_F32_UNROLL
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
 }
 
-static QUATERNION_POINTING_F32_NEAR float quaternion_pointing_f32_inner(const float *a, const float *b)
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS float quaternion_pointing_f32_inner(const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-typedef struct {
+typedef struct quaternion_pointing_f32_normal {
     float lower[3]; /* L below its unit diagonal, row by row */
     float inverse[3]; /* 1 / D */
 } quaternion_pointing_f32_normal;
@@ -220,8 +279,8 @@ typedef struct {
 /* Factorises B B^T, B [3*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 4.3e-06, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 4.3e-06, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_pointing_f32_normal *f)
 {
     const float g_0_0 = quaternion_pointing_f32_inner(B, B);
@@ -236,11 +295,16 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     float v_1_0, l_1_0, n_1_0;
     float v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     float bound;
-    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_0_0), 87, 167) || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_1_1), 87, 167) || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_2_2), 87, 167)) {
+    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_0_0),
+            QUATERNION_POINTING_F32_SQUARE_LOW_0, QUATERNION_POINTING_F32_SQUARE_HIGH_0)
+            || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_1_1),
+            QUATERNION_POINTING_F32_SQUARE_LOW_1, QUATERNION_POINTING_F32_SQUARE_HIGH_1)
+            || !quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(g_2_2),
+            QUATERNION_POINTING_F32_SQUARE_LOW_2, QUATERNION_POINTING_F32_SQUARE_HIGH_2)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
@@ -249,14 +313,14 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     v_2_0 = g_2_0;
     l_2_0 = v_2_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 0.000024221818f * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0f / d_2;
@@ -266,7 +330,7 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= QUATERNION_POINTING_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -293,15 +357,16 @@ static void quaternion_pointing_f32_normal_solve(const quaternion_pointing_f32_n
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct quaternion_pointing_f32_line {
     float p[3];
     float l[3];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } quaternion_pointing_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct quaternion_pointing_f32_qr {
     quaternion_pointing_f32_line line[3];
     quaternion_pointing_f32_line *at[3];
     float left[3];    /* squared length of at[k]->p */
@@ -312,7 +377,8 @@ typedef struct {
 } quaternion_pointing_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static QUATERNION_POINTING_F32_NEAR float quaternion_pointing_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS float quaternion_pointing_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -349,7 +415,7 @@ static void quaternion_pointing_f32_qr_reduce(quaternion_pointing_f32_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= QUATERNION_POINTING_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -382,8 +448,8 @@ static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointin
     quaternion_pointing_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -402,7 +468,7 @@ static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
-    return bound * total < 273656230000.0f;
+    return bound * total < QUATERNION_POINTING_F32_QR_LIMIT;
 }
 
 static float quaternion_pointing_f32_short(const float *a, const float *b)
@@ -423,8 +489,9 @@ static void quaternion_pointing_f32_rotate(float *restrict a, float *restrict b,
 }
 
 /* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
-   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 7 did not do. */
 static int quaternion_pointing_f32_jacobi(float *t, int count, float *square)
 {
@@ -434,8 +501,8 @@ static int quaternion_pointing_f32_jacobi(float *t, int count, float *square)
         square[i] = quaternion_pointing_f32_short(t + 3 * i, t + 3 * i);
         least += square[i];
     }
-    least *= 1.4210855e-14f;
-    for (sweep = 1; sweep <= 7; ++sweep) {
+    least *= QUATERNION_POINTING_F32_NEGLIGIBLE;
+    for (sweep = 1; sweep <= QUATERNION_POINTING_F32_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             float *const a = t + 3 * i;
@@ -460,20 +527,22 @@ static int quaternion_pointing_f32_jacobi(float *t, int count, float *square)
                 const float product = square[i] * square[j];
                 const float gap = square[i] - square[j];
                 float h, c, s;
-                if (inner * inner <= 1.0658141e-14f * product) {
+                if (inner * inner <= QUATERNION_POINTING_F32_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 1.7408297e-13f * product) { /* more than rounding can bring back */
+                /* more than rounding can bring back */
+                if (inner * inner > QUATERNION_POINTING_F32_CONVERGED * product) {
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = quaternion_pointing_f32_sqrt(gap * gap + 4.0f * inner * inner);
                 c = quaternion_pointing_f32_sqrt(0.5f + 0.5f * (quaternion_pointing_f32_abs(gap) / h));
                 s = gap < 0.0f ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0f + c));
                 s /= h;
@@ -489,8 +558,8 @@ static int quaternion_pointing_f32_jacobi(float *t, int count, float *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int quaternion_pointing_f32_svd(const quaternion_pointing_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -499,7 +568,7 @@ static int quaternion_pointing_f32_svd(const quaternion_pointing_f32_qr *f, floa
         left[k] = 0.0f;
     }
     for (k = 0; k < f->steps; ++k) {
-        const float length = 1048576.0f * quaternion_pointing_f32_sqrt(f->left[k]);
+        const float length = QUATERNION_POINTING_F32_LIFT * quaternion_pointing_f32_sqrt(f->left[k]);
         for (i = k; i < 3; ++i) {
             left[3 * k + f->at[i]->row] = f->at[i]->l[k] * length;
         }
@@ -511,7 +580,7 @@ static int quaternion_pointing_f32_svd(const quaternion_pointing_f32_qr *f, floa
     for (k = 0; k < f->steps; ++k) {
         const float length = quaternion_pointing_f32_sqrt(sigma[k]);
         const float inverse = length > 0.0f ? 1.0f / length : 0.0f;
-        sigma[k] = 9.536743e-7f * length;
+        sigma[k] = QUATERNION_POINTING_F32_LOWER * length;
         for (i = 0; i < 3; ++i) {
             left[3 * k + i] *= inverse;
         }
@@ -519,9 +588,9 @@ static int quaternion_pointing_f32_svd(const quaternion_pointing_f32_qr *f, floa
     return sweeps;
 }
 
-typedef struct {
+typedef struct quaternion_pointing_f32_factors {
     float B[9];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[3];   /* -16384 where a row counts as zero */
+    int exponent[3];   /* QUATERNION_POINTING_F32_NO_EXPONENT where a row counts as zero */
     quaternion_pointing_f32_normal normal;
     quaternion_pointing_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -543,9 +612,10 @@ static const float quaternion_pointing_f32_atol[3] = {
     0.0f
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void quaternion_pointing_f32_undo_scaling(quaternion_pointing_f32_factors *f, int top)
 {
     float F[9]; /* column k in F + 3 k; reflections below the diagonal, R above */
@@ -563,7 +633,7 @@ static void quaternion_pointing_f32_undo_scaling(quaternion_pointing_f32_factors
         column[k] = k;
         for (i = 0; i < 3; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[3 * k + i] = exponent == -16384 ? 0.0f :
+            F[3 * k + i] = exponent == QUATERNION_POINTING_F32_NO_EXPONENT ? 0.0f :
                 quaternion_pointing_f32_shift(f->left[3 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -640,18 +710,20 @@ static void quaternion_pointing_f32_undo_scaling(quaternion_pointing_f32_factors
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is QUATERNION_POINTING_F32_NO_EXPONENT. */
 static void quaternion_pointing_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 3; ++i) {
         const float *const row = S + 3 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -QUATERNION_POINTING_F32_EXPONENT_MAX
+                && exponent[i] <= -QUATERNION_POINTING_F32_EXPONENT_MIN) {
             quaternion_pointing_f32_spread(row, quaternion_pointing_f32_power(-exponent[i]), B + 3 * i);
         } else {
             float shifted[3];
             for (j = 0; j < 3; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : quaternion_pointing_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == QUATERNION_POINTING_F32_NO_EXPONENT
+                    ? 0.0f : quaternion_pointing_f32_shift(row[j], -exponent[i]);
             }
             quaternion_pointing_f32_spread(shifted, 1.0f, B + 3 * i);
         }
@@ -668,7 +740,8 @@ static int quaternion_pointing_f32_length(const float *row, int exponent)
         shifted[j] = quaternion_pointing_f32_shift(row[j], -exponent);
     }
     quaternion_pointing_f32_spread(shifted, 1.0f, padded);
-    return exponent + quaternion_pointing_f32_exponent(quaternion_pointing_f32_magnitude(quaternion_pointing_f32_inner(padded, padded))) / 2;
+    return exponent + quaternion_pointing_f32_exponent(
+        quaternion_pointing_f32_magnitude(quaternion_pointing_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -714,8 +787,10 @@ static void quaternion_pointing_f32_vectors(quaternion_pointing_f32_factors *f, 
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise_svd(const float *S, quaternion_pointing_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_factorise_svd(const float *S,
+    quaternion_pointing_f32_factors *f, int top, int bottom)
 {
     float u[9];
     int i;
@@ -725,7 +800,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise_svd(c
     }
     f->rank = 0;
     for (i = 0; i < 3; ++i) {
-        f->rank += f->sigma[i] > 3.5762787e-7f * f->sigma[0];
+        f->rank += f->sigma[i] > QUATERNION_POINTING_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 3;
     if (!f->direct) {
@@ -733,7 +808,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise_svd(c
         if (f->rank > 0 && bottom != top) {
             quaternion_pointing_f32_undo_scaling(f, top);
             for (i = 0; i < 3; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == QUATERNION_POINTING_F32_NO_EXPONENT
+                    ? QUATERNION_POINTING_F32_NO_EXPONENT : top;
             }
             quaternion_pointing_f32_scale(S, f->exponent, f->B);
         }
@@ -742,19 +818,20 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise_svd(c
 }
 
 /* The ladder, from the step `from` on. */
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const float *S, quaternion_pointing_f32_factors *f, int from)
+static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_factorise(const float *S,
+    quaternion_pointing_f32_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = QUATERNION_POINTING_F32_NO_EXPONENT;
+    int bottom = -QUATERNION_POINTING_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 3; ++i) {
         quaternion_pointing_f32_word word;
         word.bits = quaternion_pointing_f32_largest(S + 3 * i, 3);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= QUATERNION_POINTING_F32_INFINITY_BITS) {
             return QUATERNION_POINTING_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = QUATERNION_POINTING_F32_NO_EXPONENT;
         if (word.value > quaternion_pointing_f32_atol[i]) {
             f->exponent[i] = quaternion_pointing_f32_length(S + 3 * i, quaternion_pointing_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -770,7 +847,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const
         int known = 1;
         f->rank = 3;
         f->path = QUATERNION_POINTING_F32_PATH_NORMAL;
-        if (from > QUATERNION_POINTING_F32_PATH_NORMAL || quaternion_pointing_f32_normal_factor(f->B, &f->normal) != 1) {
+        if (from > QUATERNION_POINTING_F32_PATH_NORMAL
+                || quaternion_pointing_f32_normal_factor(f->B, &f->normal) != 1) {
             f->path = QUATERNION_POINTING_F32_PATH_QR;
             f->direct = 1;
             quaternion_pointing_f32_qr_factor(f->B, &f->qr);
@@ -787,7 +865,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_factorise(const
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static QUATERNION_POINTING_F32_APART float quaternion_pointing_f32_sigma_min(const float *S, quaternion_pointing_f32_factors *f)
+static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_sigma_min(const float *S,
+    quaternion_pointing_f32_factors *f)
 {
     const uint32_t magnitude = quaternion_pointing_f32_largest(S, 9);
     const int top = magnitude == 0 ? 0 : quaternion_pointing_f32_exponent(magnitude);
@@ -804,12 +883,12 @@ static QUATERNION_POINTING_F32_APART float quaternion_pointing_f32_sigma_min(con
     return quaternion_pointing_f32_shift(f->sigma[2], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int quaternion_pointing_f32_refuse(int status, quaternion_pointing_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = QUATERNION_POINTING_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -818,17 +897,19 @@ static int quaternion_pointing_f32_refuse(int status, quaternion_pointing_f32_in
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 2.86e-06 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= QUATERNION_POINTING_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int quaternion_pointing_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int quaternion_pointing_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = quaternion_pointing_f32_exponent(quaternion_pointing_f32_largest(tau, 3));
     float t[3], rest[3];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[3];
-    int top = -16384;
+    int top = QUATERNION_POINTING_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -836,9 +917,10 @@ static int quaternion_pointing_f32_consistent(const float *S, const float *z, co
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : quaternion_pointing_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == QUATERNION_POINTING_F32_NO_EXPONENT
+            ? 0.0f : quaternion_pointing_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != QUATERNION_POINTING_F32_NO_EXPONENT) {
             const float yj = quaternion_pointing_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -848,17 +930,19 @@ static int quaternion_pointing_f32_consistent(const float *S, const float *z, co
         const float *const row = S + 3 * i;
         const int row_unit = quaternion_pointing_f32_exponent(quaternion_pointing_f32_largest(row, 3));
         const int z_unit = quaternion_pointing_f32_exponent(quaternion_pointing_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == QUATERNION_POINTING_F32_NO_EXPONENT
+            || tau_unit == QUATERNION_POINTING_F32_NO_EXPONENT
+            ? QUATERNION_POINTING_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == QUATERNION_POINTING_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != QUATERNION_POINTING_F32_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const float s = quaternion_pointing_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -868,27 +952,31 @@ static int quaternion_pointing_f32_consistent(const float *S, const float *z, co
         }
         target = quaternion_pointing_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 0.000002861023f * (scale * quaternion_pointing_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += quaternion_pointing_f32_shift(quaternion_pointing_f32_atol[i], tau_unit - unit[i]) * norm * 1.7320508f;
+        allowed = QUATERNION_POINTING_F32_CONSISTENCY
+            * (scale * quaternion_pointing_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        if (tau_unit != QUATERNION_POINTING_F32_NO_EXPONENT) {
+            allowed += quaternion_pointing_f32_shift(quaternion_pointing_f32_atol[i], tau_unit - unit[i]) * norm
+                * QUATERNION_POINTING_F32_ROOT_L;
         }
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 3; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != QUATERNION_POINTING_F32_NO_EXPONENT) {
             rest[i] = quaternion_pointing_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : quaternion_pointing_f32_shift(quaternion_pointing_f32_sqrt(norm), top);
+    *residual = top == QUATERNION_POINTING_F32_NO_EXPONENT
+        ? 0.0f : quaternion_pointing_f32_shift(quaternion_pointing_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void quaternion_pointing_f32_qr_apply(const quaternion_pointing_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void quaternion_pointing_f32_qr_apply(const quaternion_pointing_f32_qr *f, const float *restrict r,
+    float *restrict x, int careful)
 {
     const quaternion_pointing_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -910,19 +998,21 @@ static void quaternion_pointing_f32_qr_apply(const quaternion_pointing_f32_qr *f
 }
 
 /* x = S+ r from the normal equations. */
-static void quaternion_pointing_f32_normal_apply(const quaternion_pointing_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void quaternion_pointing_f32_normal_apply(const quaternion_pointing_f32_normal *f, const float *B,
+    const float *restrict r, float *restrict x)
 {
     float w[3];
     int j;
     quaternion_pointing_f32_normal_solve(f, r, w);
-    QUATERNION_POINTING_F32_WRITTEN_OUT
+    QUATERNION_POINTING_F32_UNROLL
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3] + w[2] * B[j + 6];
     }
 }
 
 /* r = z - B t. */
-static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS void quaternion_pointing_f32_residual(const float *B,
+    const float *z, const float *t, float *restrict r)
 {
     r[0] = z[0] - quaternion_pointing_f32_inner(B, t);
     r[1] = z[1] - quaternion_pointing_f32_inner(B + 3, t);
@@ -930,7 +1020,8 @@ static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_residual(const 
 }
 
 /* x = S+ r, from the step of the ladder that held. */
-static void quaternion_pointing_f32_apply(const quaternion_pointing_f32_factors *f, const float *r, float *x, int careful)
+static void quaternion_pointing_f32_apply(const quaternion_pointing_f32_factors *f, const float *r, float *x,
+    int careful)
 {
     int i, j, k;
     if (f->path == QUATERNION_POINTING_F32_PATH_NORMAL) {
@@ -957,14 +1048,16 @@ static void quaternion_pointing_f32_apply(const quaternion_pointing_f32_factors 
     }
 }
 
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info, int from)
+static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_solve_scaled(const float *S, const float *z,
+    const float *y, float *tau, quaternion_pointing_f32_info *info, int from)
 {
     quaternion_pointing_f32_factors f;
     float zs[3], ys[3], r[3], x[3], answer[3];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = QUATERNION_POINTING_F32_NO_EXPONENT;
     int status, i, j;
-    if (quaternion_pointing_f32_largest(z, 3) >= UINT32_C(0x7f800000) || (y != NULL && quaternion_pointing_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
+    if (quaternion_pointing_f32_largest(z, 3) >= QUATERNION_POINTING_F32_INFINITY_BITS
+            || (y != NULL && quaternion_pointing_f32_largest(y, 3) >= QUATERNION_POINTING_F32_INFINITY_BITS)) {
         return quaternion_pointing_f32_refuse(QUATERNION_POINTING_F32_NONFINITE, info);
     }
     status = quaternion_pointing_f32_factorise(S, &f, from);
@@ -972,7 +1065,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
         return quaternion_pointing_f32_refuse(status, info);
     }
     if (f.rank == 3) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
@@ -980,15 +1073,17 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
     }
     for (i = 0; i < 3; ++i) {
         const int own = quaternion_pointing_f32_exponent(quaternion_pointing_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != QUATERNION_POINTING_F32_NO_EXPONENT && own != QUATERNION_POINTING_F32_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == QUATERNION_POINTING_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 3; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : quaternion_pointing_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == QUATERNION_POINTING_F32_NO_EXPONENT
+            ? 0.0f : quaternion_pointing_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0f : quaternion_pointing_f32_shift(y[j], -unit);
@@ -1010,13 +1105,14 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
             answer[j] += quaternion_pointing_f32_shift(x[j], unit);
         }
     }
-    if (quaternion_pointing_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {
+    if (quaternion_pointing_f32_largest(answer, 3) >= QUATERNION_POINTING_F32_INFINITY_BITS) {
         return quaternion_pointing_f32_refuse(QUATERNION_POINTING_F32_OVERFLOW, info);
     }
     if (f.rank < 3 || info != NULL) {
         const int met = quaternion_pointing_f32_consistent(S, z, y, answer, &residual);
         if (f.rank < 3) {
-            status = met ? QUATERNION_POINTING_F32_RANK_DEFICIENT_CONSISTENT : QUATERNION_POINTING_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? QUATERNION_POINTING_F32_RANK_DEFICIENT_CONSISTENT
+                : QUATERNION_POINTING_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1033,7 +1129,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_scaled(co
     return status;
 }
 
-static QUATERNION_POINTING_F32_APART void quaternion_pointing_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_NOINLINE void quaternion_pointing_f32_report(const float *S, const float *z,
+    const float *y, const float *tau, int path, quaternion_pointing_f32_info *info)
 {
     quaternion_pointing_f32_factors f;
     (void)quaternion_pointing_f32_consistent(S, z, y, tau, &info->residual);
@@ -1046,7 +1143,9 @@ static QUATERNION_POINTING_F32_APART void quaternion_pointing_f32_report(const f
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_correct(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS void quaternion_pointing_f32_correct(
+    const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B, const float *r,
+    float *x, int careful)
 {
     if (qr != NULL) {
         quaternion_pointing_f32_qr_apply(qr, r, x, careful);
@@ -1056,15 +1155,16 @@ static QUATERNION_POINTING_F32_NEAR void quaternion_pointing_f32_correct(const q
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *S, const float *B,
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS int quaternion_pointing_f32_answer(
+    const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *S, const float *B,
     const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
 {
     float r[3], x[3], step[3];
     int j;
-    if (y != NULL && quaternion_pointing_f32_largest(y, 3) >= UINT32_C(0x7f800000)) {
+    if (y != NULL && quaternion_pointing_f32_largest(y, 3) >= QUATERNION_POINTING_F32_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 3; ++j) {
             r[j] = z[j];
@@ -1085,13 +1185,15 @@ static QUATERNION_POINTING_F32_NEAR int quaternion_pointing_f32_answer(const qua
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(quaternion_pointing_f32_inner(x, x)), 27, 237)) {
+    if (!quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(quaternion_pointing_f32_inner(x, x)),
+            QUATERNION_POINTING_F32_ANSWER_LOW, QUATERNION_POINTING_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         float answer[3];
         quaternion_pointing_f32_gather(x, answer);
-        quaternion_pointing_f32_report(S, z, y, answer, qr != NULL ? QUATERNION_POINTING_F32_PATH_QR : QUATERNION_POINTING_F32_PATH_NORMAL, info);
+        quaternion_pointing_f32_report(S, z, y, answer,
+            qr != NULL ? QUATERNION_POINTING_F32_PATH_QR : QUATERNION_POINTING_F32_PATH_NORMAL, info);
     }
     quaternion_pointing_f32_gather(x, tau);
     return 1;
@@ -1104,10 +1206,11 @@ static int quaternion_pointing_f32_qr_scaled(const float *B, quaternion_pointing
     int i, j;
     for (i = 0; i < 3; ++i) {
         f->left[i] = quaternion_pointing_f32_inner(B + 3 * i, B + 3 * i);
-        exponent[i] = (quaternion_pointing_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        /* of the length */
+        exponent[i] = (quaternion_pointing_f32_biased(f->left[i]) + QUATERNION_POINTING_F32_EXPONENT_BIAS) / 2;
     }
     for (i = 0; i < 3; ++i) {
-        const float unit = quaternion_pointing_f32_power(127 - (int)exponent[i]);
+        const float unit = quaternion_pointing_f32_power(QUATERNION_POINTING_F32_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 3; ++j) {
             f->line[i].p[j] = unit * B[3 * i + j];
         }
@@ -1119,7 +1222,8 @@ static int quaternion_pointing_f32_qr_scaled(const float *B, quaternion_pointing
     return quaternion_pointing_f32_qr_certified(f);
 }
 
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_solve_qr(const float *S, const float *z,
+    const float *y, float *tau, quaternion_pointing_f32_info *info)
 {
     quaternion_pointing_f32_qr f;
     const float *const B = S;
@@ -1130,7 +1234,8 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_solve_qr(const 
     return quaternion_pointing_f32_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_F32_PATH_QR);
 }
 
-static int quaternion_pointing_f32_solve_core(const float *S, const float *z, const float *y, float *tau, quaternion_pointing_f32_info *info)
+static int quaternion_pointing_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    quaternion_pointing_f32_info *info)
 {
     quaternion_pointing_f32_normal f;
     int held;
@@ -1147,7 +1252,8 @@ static int quaternion_pointing_f32_solve_core(const float *S, const float *z, co
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_pinv_core(const float *S, float *S_pinv, quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_pinv_core(const float *S, float *S_pinv,
+    quaternion_pointing_f32_info *info)
 {
     quaternion_pointing_f32_factors f;
     float unit[3], x[3], answer[9];
@@ -1160,7 +1266,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_pinv_core(const
         unit[i] = 0.0f;
     }
     for (i = 0; i < 3; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == QUATERNION_POINTING_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         quaternion_pointing_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1168,7 +1274,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_pinv_core(const
             answer[3 * j + i] = zero_row ? 0.0f : quaternion_pointing_f32_shift(x[j], -f.exponent[i]);
         }
     }
-    if (quaternion_pointing_f32_largest(answer, 9) >= UINT32_C(0x7f800000)) {
+    if (quaternion_pointing_f32_largest(answer, 9) >= QUATERNION_POINTING_F32_INFINITY_BITS) {
         return quaternion_pointing_f32_refuse(QUATERNION_POINTING_F32_OVERFLOW, info);
     }
     status = f.rank < 3 ? QUATERNION_POINTING_F32_RANK_DEFICIENT_CONSISTENT : QUATERNION_POINTING_F32_OK;
@@ -1186,7 +1292,7 @@ static QUATERNION_POINTING_F32_APART int quaternion_pointing_f32_pinv_core(const
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void quaternion_pointing_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1197,10 +1303,11 @@ static void quaternion_pointing_f32_copy(const float *from, float *to, int n)
 
 static int quaternion_pointing_f32_finite(const float *x, int n)
 {
-    return quaternion_pointing_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return quaternion_pointing_f32_largest(x, n) < QUATERNION_POINTING_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* QUATERNION_POINTING_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots
+   come in the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int quaternion_pointing_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1215,25 +1322,17 @@ static int quaternion_pointing_f32_mass_status(const float *pivot, const float *
     return QUATERNION_POINTING_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int quaternion_pointing_f32_input_finite(const quaternion_pointing_f32_input *in)
 {
     return quaternion_pointing_f32_finite(in->q, 4)
            && quaternion_pointing_f32_finite(in->u, 3);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define QUATERNION_POINTING_F32_COLD __attribute__((noinline, cold))
-#define QUATERNION_POINTING_F32_SMALL inline __attribute__((always_inline))
-#else
-#define QUATERNION_POINTING_F32_COLD
-#define QUATERNION_POINTING_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
-static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(int status, const quaternion_pointing_f32_input *in)
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
+static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(int status,
+    const quaternion_pointing_f32_input *in)
 {
     if (!quaternion_pointing_f32_input_finite(in)) {
         return QUATERNION_POINTING_F32_NONFINITE;
@@ -1241,9 +1340,11 @@ static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_reason(int statu
     return status == QUATERNION_POINTING_F32_NONFINITE ? QUATERNION_POINTING_F32_OVERFLOW : status;
 }
 
-static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
+static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_psi(
+    const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
 {
     (void)model;
+    /* towards psi */
     const float t0 = in->q[1] * in->q[3];
     const float t1 = in->q[0] * in->q[2];
     const float t2 = t0 + t1;
@@ -1259,8 +1360,10 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_psi(const
 }
 
 
-static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
+static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_S(
+    const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
+    /* towards S */
     const float t0 = in->q[1] * in->q[2];
     const float t1 = in->q[3] * in->q[0];
     const float t2 = t0 - t1;
@@ -1294,8 +1397,10 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_S(const q
 }
 
 
-static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
+static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_z(
+    const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
 {
+    /* towards z */
     const float t0 = in->q[1] * in->q[3];
     const float t1 = in->q[0] * in->q[2];
     const float t2 = t0 + t1;
@@ -1361,8 +1466,10 @@ static QUATERNION_POINTING_F32_SMALL void quaternion_pointing_f32_eval_z(const q
 }
 
 
-static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
+static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model,
+    const quaternion_pointing_f32_input *in, float *S, float *z)
 {
+    /* towards z */
     const float t0 = in->q[1] * in->q[3];
     const float t1 = in->q[0] * in->q[2];
     const float t2 = t0 + t1;
@@ -1371,10 +1478,13 @@ static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model
     const float t5 = in->q[1] * in->q[0];
     const float t6 = t4 - t5;
     const float t7 = t6 + t6;
+    /* towards S, z */
     const float t8 = in->q[1] * in->q[2];
     const float t9 = in->q[3] * in->q[0];
     const float t10 = t8 - t9;
+    /* towards S */
     const float t11 = model->c0 * t10;
+    /* towards S, z */
     const float t12 = in->q[1] * in->q[1];
     const float t13 = in->q[2] * in->q[2];
     const float t14 = t12 - t13;
@@ -1384,13 +1494,19 @@ static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model
     const float t18 = t16 - t17;
     const float t19 = 0.5f * t18;
     const float t20 = t15 - t19;
+    /* towards S */
     const float t21 = t20 + t20;
     const float t22 = t21 / model->I_2;
+    /* towards S, z */
     const float t23 = t15 + t19;
+    /* towards S */
     const float t24 = t23 + t23;
     const float t25 = t24 / model->I_1;
+    /* towards S, z */
     const float t26 = t8 + t9;
+    /* towards S */
     const float t27 = model->c1 * t26;
+    /* towards z */
     const float t28 = t3 * in->u[1];
     const float t29 = model->c3 * in->u[2];
     const float t30 = t10 * t29;
@@ -1522,7 +1638,8 @@ int quaternion_pointing_f32_prepare(const quaternion_pointing_f32_params *params
     return QUATERNION_POINTING_F32_OK;
 }
 
-int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *psi)
+int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in,
+    float *psi)
 {
     float new_psi[3];
     if (!(quaternion_pointing_f32_finite(in->u, 2))) {
@@ -1536,7 +1653,8 @@ int quaternion_pointing_f32_psi(const quaternion_pointing_f32_model *model, cons
     return QUATERNION_POINTING_F32_OK;
 }
 
-int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
+int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in,
+    float *S)
 {
     float new_S[9];
     if (!(quaternion_pointing_f32_finite(in->u, 3))) {
@@ -1550,7 +1668,8 @@ int quaternion_pointing_f32_S(const quaternion_pointing_f32_model *model, const 
     return QUATERNION_POINTING_F32_OK;
 }
 
-int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
+int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in,
+    float *z)
 {
     float new_z[3];
     quaternion_pointing_f32_eval_z(model, in, new_z);
@@ -1561,7 +1680,8 @@ int quaternion_pointing_f32_z(const quaternion_pointing_f32_model *model, const 
     return QUATERNION_POINTING_F32_OK;
 }
 
-int quaternion_pointing_f32_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S, float *z)
+int quaternion_pointing_f32_S_z(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in,
+    float *S, float *z)
 {
     float new_S[9];
     float new_z[3];
@@ -1581,7 +1701,8 @@ const quaternion_pointing_f32_params quaternion_pointing_f32_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_failed(int status, const quaternion_pointing_f32_input *in, quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_COLD int quaternion_pointing_f32_failed(int status,
+    const quaternion_pointing_f32_input *in, quaternion_pointing_f32_info *info)
 {
     return quaternion_pointing_f32_refuse(quaternion_pointing_f32_reason(status, in), info);
 }
@@ -1591,7 +1712,8 @@ int quaternion_pointing_f32_pinv(const float *S, float *S_pinv, quaternion_point
     return quaternion_pointing_f32_pinv_core(S, S_pinv, info);
 }
 
-int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *tau, quaternion_pointing_f32_info *info)
+int quaternion_pointing_f32_control(const quaternion_pointing_f32_model *model,
+    const quaternion_pointing_f32_input *in, float *tau, quaternion_pointing_f32_info *info)
 {
     float S[9], z[3];
     int status;

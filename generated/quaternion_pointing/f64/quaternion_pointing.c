@@ -11,22 +11,78 @@
 #error "build quaternion_pointing.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 3 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define QUATERNION_POINTING_NOINLINE __attribute__((noinline))
+#define QUATERNION_POINTING_COLD __attribute__((noinline, cold))
+#define QUATERNION_POINTING_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define QUATERNION_POINTING_NOINLINE
+#define QUATERNION_POINTING_COLD
+#define QUATERNION_POINTING_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define QUATERNION_POINTING_FRACTION_BITS 52
+#define QUATERNION_POINTING_EXPONENT_BIAS 1023
+#define QUATERNION_POINTING_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define QUATERNION_POINTING_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define QUATERNION_POINTING_NO_EXPONENT (-16384)
+#define QUATERNION_POINTING_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define QUATERNION_POINTING_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define QUATERNION_POINTING_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define QUATERNION_POINTING_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 3 x 3, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+/* a row whose relative residual is at most this is met */
+#define QUATERNION_POINTING_CONSISTENCY 5.329070518200751e-15
+/* sqrt(3): a row within its atol is no longer than this times atol */
+#define QUATERNION_POINTING_ROOT_L 1.7320508075688772
+/* singular values at or below this part of the largest count as zero */
+#define QUATERNION_POINTING_RTOL 6.661338147750939e-16
+#define QUATERNION_POINTING_SQUARE_LOW_0 918 /* exponents of row 0's square with which nothing needs scaling */
+#define QUATERNION_POINTING_SQUARE_HIGH_0 1523
+#define QUATERNION_POINTING_SQUARE_LOW_1 918 /* exponents of row 1's square with which nothing needs scaling */
+#define QUATERNION_POINTING_SQUARE_HIGH_1 1523
+#define QUATERNION_POINTING_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
+#define QUATERNION_POINTING_SQUARE_HIGH_2 1523
+#define QUATERNION_POINTING_ANSWER_LOW 23 /* the same of the answer's square */
+#define QUATERNION_POINTING_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define QUATERNION_POINTING_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define QUATERNION_POINTING_NORMAL_LIMIT 27271342415.357616
+#define QUATERNION_POINTING_QR_LIMIT 7.887603734753427e+28 /* up to this bound times |B|^2 the QR needs no SVD */
+/* below this the square of a pivot counts as zero */
+#define QUATERNION_POINTING_SMALLEST_SQUARE 1.1830521861667747e-271
+/* eps^2: columns with less than this part of all squares are noise */
+#define QUATERNION_POINTING_NEGLIGIBLE 4.930380657631324e-32
+/* columns whose squared cosine is at most this are not rotated */
+#define QUATERNION_POINTING_ORTHOGONAL 3.6977854932234923e-32
+/* a sweep that met no larger squared cosine was the last */
+#define QUATERNION_POINTING_CONVERGED 6.039716305598372e-31
+#define QUATERNION_POINTING_SWEEP_CAP 7 /* sweeps of Jacobi's method at most: two more than were ever seen */
+
+typedef union quaternion_pointing_word {
     double value;
     uint64_t bits;
 } quaternion_pointing_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t quaternion_pointing_magnitude(double x)
 {
     quaternion_pointing_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & QUATERNION_POINTING_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t quaternion_pointing_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +121,18 @@ static double quaternion_pointing_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= QUATERNION_POINTING_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < QUATERNION_POINTING_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -QUATERNION_POINTING_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> QUATERNION_POINTING_FRACTION_BITS) - QUATERNION_POINTING_EXPONENT_BIAS;
+    rest = (word.bits & (QUATERNION_POINTING_SMALLEST_NORMAL - 1u)) | QUATERNION_POINTING_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = QUATERNION_POINTING_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,65 +140,63 @@ static double quaternion_pointing_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + QUATERNION_POINTING_EXPONENT_BIAS - 1) << QUATERNION_POINTING_FRACTION_BITS);
     return word.value;
 }
 #endif
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define QUATERNION_POINTING_APART __attribute__((noinline))
-#else
-#define QUATERNION_POINTING_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from QUATERNION_POINTING_EXPONENT_MIN to QUATERNION_POINTING_EXPONENT_MAX, by writing its exponent. */
 static double quaternion_pointing_power(int k)
 {
     quaternion_pointing_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + QUATERNION_POINTING_EXPONENT_BIAS) << QUATERNION_POINTING_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double quaternion_pointing_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= QUATERNION_POINTING_EXPONENT_MIN && k <= QUATERNION_POINTING_EXPONENT_MAX) {
         return x * quaternion_pointing_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= quaternion_pointing_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > QUATERNION_POINTING_EXPONENT_MAX; ++step) {
+        x *= quaternion_pointing_power(QUATERNION_POINTING_EXPONENT_MAX);
+        k -= QUATERNION_POINTING_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= quaternion_pointing_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < QUATERNION_POINTING_EXPONENT_MIN; ++step) {
+        x *= quaternion_pointing_power(QUATERNION_POINTING_EXPONENT_MIN + QUATERNION_POINTING_FRACTION_BITS + 1);
+        k -= QUATERNION_POINTING_EXPONENT_MIN + QUATERNION_POINTING_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > QUATERNION_POINTING_EXPONENT_MAX) {
+        k = QUATERNION_POINTING_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < QUATERNION_POINTING_EXPONENT_MIN) {
+        k = QUATERNION_POINTING_EXPONENT_MIN;
     }
     return x * quaternion_pointing_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; QUATERNION_POINTING_NO_EXPONENT for
+   zero. */
 static int quaternion_pointing_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return QUATERNION_POINTING_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < QUATERNION_POINTING_SMALLEST_NORMAL) {
         quaternion_pointing_word word;
         word.bits = magnitude;
-        magnitude = quaternion_pointing_magnitude(word.value * quaternion_pointing_power(64));
-        lift = 64;
+        magnitude = quaternion_pointing_magnitude(word.value
+            * quaternion_pointing_power(QUATERNION_POINTING_SUBNORMAL_LIFT));
+        lift = QUATERNION_POINTING_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> QUATERNION_POINTING_FRACTION_BITS) - QUATERNION_POINTING_EXPONENT_BIAS - lift;
 }
 
 static double quaternion_pointing_abs(double x)
@@ -150,69 +204,72 @@ static double quaternion_pointing_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t quaternion_pointing_biased(double x)
 {
     quaternion_pointing_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (QUATERNION_POINTING_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t quaternion_pointing_biased_square(double square)
 {
     quaternion_pointing_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> QUATERNION_POINTING_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int quaternion_pointing_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define QUATERNION_POINTING_NEAR
-#define QUATERNION_POINTING_WRITTEN_OUT
+#define QUATERNION_POINTING_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define QUATERNION_POINTING_NEAR inline __attribute__((always_inline))
-#define QUATERNION_POINTING_WRITTEN_OUT
+#define QUATERNION_POINTING_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define QUATERNION_POINTING_UNROLL
 #elif defined(__clang__)
-#define QUATERNION_POINTING_NEAR
-#define QUATERNION_POINTING_WRITTEN_OUT /* it does so by itself */
+#define QUATERNION_POINTING_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_UNROLL /* clang writes such loops out by itself */
 #else
-#define QUATERNION_POINTING_NEAR
-#define QUATERNION_POINTING_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define QUATERNION_POINTING_INLINE_WITH_VECTORS
+#define QUATERNION_POINTING_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static QUATERNION_POINTING_NEAR void quaternion_pointing_spread(const double *restrict v, double factor, double *restrict w)
+static QUATERNION_POINTING_INLINE_WITH_VECTORS void quaternion_pointing_spread(const double *restrict v, double factor,
+    double *restrict w)
 {
     int k;
-    QUATERNION_POINTING_WRITTEN_OUT
+    QUATERNION_POINTING_UNROLL
     for (k = 0; k < 3; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static QUATERNION_POINTING_NEAR void quaternion_pointing_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static QUATERNION_POINTING_INLINE_WITH_VECTORS void quaternion_pointing_gather(const double *restrict w,
+    double *restrict v)
 {
     int k;
-    QUATERNION_POINTING_WRITTEN_OUT
+    QUATERNION_POINTING_UNROLL
     for (k = 0; k < 3; ++k) {
         v[k] = w[k];
     }
 }
 
-static QUATERNION_POINTING_NEAR double quaternion_pointing_inner(const double *a, const double *b)
+static QUATERNION_POINTING_INLINE_WITH_VECTORS double quaternion_pointing_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-typedef struct {
+typedef struct quaternion_pointing_normal {
     double lower[3]; /* L below its unit diagonal, row by row */
     double inverse[3]; /* 1 / D */
 } quaternion_pointing_normal;
@@ -220,8 +277,8 @@ typedef struct {
 /* Factorises B B^T, B [3*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 8e-15, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 8e-15, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int quaternion_pointing_normal_factor(const double *B, quaternion_pointing_normal *f)
 {
     const double g_0_0 = quaternion_pointing_inner(B, B);
@@ -236,11 +293,16 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     double v_1_0, l_1_0, n_1_0;
     double v_2_0, l_2_0, n_2_0, v_2_1, l_2_1, n_2_1;
     double bound;
-    if (!quaternion_pointing_within(quaternion_pointing_biased_square(g_0_0), 918, 1523) || !quaternion_pointing_within(quaternion_pointing_biased_square(g_1_1), 918, 1523) || !quaternion_pointing_within(quaternion_pointing_biased_square(g_2_2), 523, 1523)) {
+    if (!quaternion_pointing_within(quaternion_pointing_biased_square(g_0_0), QUATERNION_POINTING_SQUARE_LOW_0,
+            QUATERNION_POINTING_SQUARE_HIGH_0)
+            || !quaternion_pointing_within(quaternion_pointing_biased_square(g_1_1), QUATERNION_POINTING_SQUARE_LOW_1,
+            QUATERNION_POINTING_SQUARE_HIGH_1)
+            || !quaternion_pointing_within(quaternion_pointing_biased_square(g_2_2), QUATERNION_POINTING_SQUARE_LOW_2,
+            QUATERNION_POINTING_SQUARE_HIGH_2)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > QUATERNION_POINTING_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
@@ -249,14 +311,14 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     v_2_0 = g_2_0;
     l_2_0 = v_2_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > QUATERNION_POINTING_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > QUATERNION_POINTING_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0 / d_2;
@@ -266,7 +328,7 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= QUATERNION_POINTING_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -293,15 +355,16 @@ static void quaternion_pointing_normal_solve(const quaternion_pointing_normal *f
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct quaternion_pointing_line {
     double p[3];
     double l[3];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } quaternion_pointing_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct quaternion_pointing_qr {
     quaternion_pointing_line line[3];
     quaternion_pointing_line *at[3];
     double left[3];    /* squared length of at[k]->p */
@@ -312,7 +375,8 @@ typedef struct {
 } quaternion_pointing_qr;
 
 /* rest -= along pivot, its squared length. */
-static QUATERNION_POINTING_NEAR double quaternion_pointing_take_out(double *restrict rest, const double *restrict pivot, double along)
+static QUATERNION_POINTING_INLINE_WITH_VECTORS double quaternion_pointing_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 3; ++j) {
@@ -349,7 +413,7 @@ static void quaternion_pointing_qr_reduce(quaternion_pointing_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= QUATERNION_POINTING_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -382,8 +446,8 @@ static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_q
     quaternion_pointing_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -402,7 +466,7 @@ static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
-    return bound * total < 7.887603734753427e+28;
+    return bound * total < QUATERNION_POINTING_QR_LIMIT;
 }
 
 static double quaternion_pointing_short(const double *a, const double *b)
@@ -423,8 +487,9 @@ static void quaternion_pointing_rotate(double *restrict a, double *restrict b, d
 }
 
 /* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
-   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 7 did not do. */
 static int quaternion_pointing_jacobi(double *t, int count, double *square)
 {
@@ -434,8 +499,8 @@ static int quaternion_pointing_jacobi(double *t, int count, double *square)
         square[i] = quaternion_pointing_short(t + 3 * i, t + 3 * i);
         least += square[i];
     }
-    least *= 4.930380657631324e-32;
-    for (sweep = 1; sweep <= 7; ++sweep) {
+    least *= QUATERNION_POINTING_NEGLIGIBLE;
+    for (sweep = 1; sweep <= QUATERNION_POINTING_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             double *const a = t + 3 * i;
@@ -460,20 +525,21 @@ static int quaternion_pointing_jacobi(double *t, int count, double *square)
                 const double product = square[i] * square[j];
                 const double gap = square[i] - square[j];
                 double h, c, s;
-                if (inner * inner <= 3.6977854932234923e-32 * product) {
+                if (inner * inner <= QUATERNION_POINTING_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 6.039716305598372e-31 * product) { /* more than rounding can bring back */
+                if (inner * inner > QUATERNION_POINTING_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = quaternion_pointing_sqrt(gap * gap + 4.0 * inner * inner);
                 c = quaternion_pointing_sqrt(0.5 + 0.5 * (quaternion_pointing_abs(gap) / h));
                 s = gap < 0.0 ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0 + c));
                 s /= h;
@@ -489,8 +555,8 @@ static int quaternion_pointing_jacobi(double *t, int count, double *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[3*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int quaternion_pointing_svd(const quaternion_pointing_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -519,9 +585,9 @@ static int quaternion_pointing_svd(const quaternion_pointing_qr *f, double *left
     return sweeps;
 }
 
-typedef struct {
+typedef struct quaternion_pointing_factors {
     double B[9];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[3];   /* -16384 where a row counts as zero */
+    int exponent[3];   /* QUATERNION_POINTING_NO_EXPONENT where a row counts as zero */
     quaternion_pointing_normal normal;
     quaternion_pointing_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -543,9 +609,10 @@ static const double quaternion_pointing_atol[3] = {
     0.0
 };
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void quaternion_pointing_undo_scaling(quaternion_pointing_factors *f, int top)
 {
     double F[9]; /* column k in F + 3 k; reflections below the diagonal, R above */
@@ -563,7 +630,7 @@ static void quaternion_pointing_undo_scaling(quaternion_pointing_factors *f, int
         column[k] = k;
         for (i = 0; i < 3; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[3 * k + i] = exponent == -16384 ? 0.0 :
+            F[3 * k + i] = exponent == QUATERNION_POINTING_NO_EXPONENT ? 0.0 :
                 quaternion_pointing_shift(f->left[3 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -640,18 +707,19 @@ static void quaternion_pointing_undo_scaling(quaternion_pointing_factors *f, int
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is QUATERNION_POINTING_NO_EXPONENT. */
 static void quaternion_pointing_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 3; ++i) {
         const double *const row = S + 3 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -QUATERNION_POINTING_EXPONENT_MAX && exponent[i] <= -QUATERNION_POINTING_EXPONENT_MIN) {
             quaternion_pointing_spread(row, quaternion_pointing_power(-exponent[i]), B + 3 * i);
         } else {
             double shifted[3];
             for (j = 0; j < 3; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : quaternion_pointing_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == QUATERNION_POINTING_NO_EXPONENT
+                    ? 0.0 : quaternion_pointing_shift(row[j], -exponent[i]);
             }
             quaternion_pointing_spread(shifted, 1.0, B + 3 * i);
         }
@@ -668,7 +736,8 @@ static int quaternion_pointing_length(const double *row, int exponent)
         shifted[j] = quaternion_pointing_shift(row[j], -exponent);
     }
     quaternion_pointing_spread(shifted, 1.0, padded);
-    return exponent + quaternion_pointing_exponent(quaternion_pointing_magnitude(quaternion_pointing_inner(padded, padded))) / 2;
+    return exponent + quaternion_pointing_exponent(
+        quaternion_pointing_magnitude(quaternion_pointing_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -714,8 +783,10 @@ static void quaternion_pointing_vectors(quaternion_pointing_factors *f, const do
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const double *S, quaternion_pointing_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static QUATERNION_POINTING_NOINLINE int quaternion_pointing_factorise_svd(const double *S,
+    quaternion_pointing_factors *f, int top, int bottom)
 {
     double u[9];
     int i;
@@ -725,7 +796,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const dou
     }
     f->rank = 0;
     for (i = 0; i < 3; ++i) {
-        f->rank += f->sigma[i] > 6.661338147750939e-16 * f->sigma[0];
+        f->rank += f->sigma[i] > QUATERNION_POINTING_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 3;
     if (!f->direct) {
@@ -733,7 +804,8 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const dou
         if (f->rank > 0 && bottom != top) {
             quaternion_pointing_undo_scaling(f, top);
             for (i = 0; i < 3; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == QUATERNION_POINTING_NO_EXPONENT
+                    ? QUATERNION_POINTING_NO_EXPONENT : top;
             }
             quaternion_pointing_scale(S, f->exponent, f->B);
         }
@@ -742,19 +814,20 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise_svd(const dou
 }
 
 /* The ladder, from the step `from` on. */
-static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f, int from)
+static QUATERNION_POINTING_NOINLINE int quaternion_pointing_factorise(const double *S, quaternion_pointing_factors *f,
+    int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = QUATERNION_POINTING_NO_EXPONENT;
+    int bottom = -QUATERNION_POINTING_NO_EXPONENT;
     int i;
     for (i = 0; i < 3; ++i) {
         quaternion_pointing_word word;
         word.bits = quaternion_pointing_largest(S + 3 * i, 3);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= QUATERNION_POINTING_INFINITY_BITS) {
             return QUATERNION_POINTING_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = QUATERNION_POINTING_NO_EXPONENT;
         if (word.value > quaternion_pointing_atol[i]) {
             f->exponent[i] = quaternion_pointing_length(S + 3 * i, quaternion_pointing_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -787,7 +860,8 @@ static QUATERNION_POINTING_APART int quaternion_pointing_factorise(const double 
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static QUATERNION_POINTING_APART double quaternion_pointing_sigma_min(const double *S, quaternion_pointing_factors *f)
+static QUATERNION_POINTING_NOINLINE double quaternion_pointing_sigma_min(const double *S,
+    quaternion_pointing_factors *f)
 {
     const uint64_t magnitude = quaternion_pointing_largest(S, 9);
     const int top = magnitude == 0 ? 0 : quaternion_pointing_exponent(magnitude);
@@ -804,12 +878,12 @@ static QUATERNION_POINTING_APART double quaternion_pointing_sigma_min(const doub
     return quaternion_pointing_shift(f->sigma[2], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int quaternion_pointing_refuse(int status, quaternion_pointing_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = QUATERNION_POINTING_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -818,17 +892,19 @@ static int quaternion_pointing_refuse(int status, quaternion_pointing_info *info
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 5.33e-15 (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= QUATERNION_POINTING_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|) + what atol_i allows.
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int quaternion_pointing_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int quaternion_pointing_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = quaternion_pointing_exponent(quaternion_pointing_largest(tau, 3));
     double t[3], rest[3];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[3];
-    int top = -16384;
+    int top = QUATERNION_POINTING_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -836,9 +912,9 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : quaternion_pointing_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == QUATERNION_POINTING_NO_EXPONENT ? 0.0 : quaternion_pointing_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != QUATERNION_POINTING_NO_EXPONENT) {
             const double yj = quaternion_pointing_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -848,17 +924,18 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
         const double *const row = S + 3 * i;
         const int row_unit = quaternion_pointing_exponent(quaternion_pointing_largest(row, 3));
         const int z_unit = quaternion_pointing_exponent(quaternion_pointing_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == QUATERNION_POINTING_NO_EXPONENT
+            || tau_unit == QUATERNION_POINTING_NO_EXPONENT ? QUATERNION_POINTING_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == QUATERNION_POINTING_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != QUATERNION_POINTING_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const double s = quaternion_pointing_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -868,27 +945,31 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
         }
         target = quaternion_pointing_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 5.329070518200751e-15 * (scale * quaternion_pointing_sqrt(square) * norm + (target < 0.0 ? -target : target));
-        if (tau_unit != -16384) {
-            allowed += quaternion_pointing_shift(quaternion_pointing_atol[i], tau_unit - unit[i]) * norm * 1.7320508075688772;
+        allowed = QUATERNION_POINTING_CONSISTENCY
+            * (scale * quaternion_pointing_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        if (tau_unit != QUATERNION_POINTING_NO_EXPONENT) {
+            allowed += quaternion_pointing_shift(quaternion_pointing_atol[i], tau_unit - unit[i]) * norm
+                * QUATERNION_POINTING_ROOT_L;
         }
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 3; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != QUATERNION_POINTING_NO_EXPONENT) {
             rest[i] = quaternion_pointing_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : quaternion_pointing_shift(quaternion_pointing_sqrt(norm), top);
+    *residual = top == QUATERNION_POINTING_NO_EXPONENT
+        ? 0.0 : quaternion_pointing_shift(quaternion_pointing_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x, int careful)
+static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x,
+    int careful)
 {
     const quaternion_pointing_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -910,19 +991,21 @@ static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const 
 }
 
 /* x = S+ r from the normal equations. */
-static void quaternion_pointing_normal_apply(const quaternion_pointing_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void quaternion_pointing_normal_apply(const quaternion_pointing_normal *f, const double *B,
+    const double *restrict r, double *restrict x)
 {
     double w[3];
     int j;
     quaternion_pointing_normal_solve(f, r, w);
-    QUATERNION_POINTING_WRITTEN_OUT
+    QUATERNION_POINTING_UNROLL
     for (j = 0; j < 3; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 3] + w[2] * B[j + 6];
     }
 }
 
 /* r = z - B t. */
-static QUATERNION_POINTING_NEAR void quaternion_pointing_residual(const double *B, const double *z, const double *t, double *restrict r)
+static QUATERNION_POINTING_INLINE_WITH_VECTORS void quaternion_pointing_residual(const double *B, const double *z,
+    const double *t, double *restrict r)
 {
     r[0] = z[0] - quaternion_pointing_inner(B, t);
     r[1] = z[1] - quaternion_pointing_inner(B + 3, t);
@@ -957,14 +1040,16 @@ static void quaternion_pointing_apply(const quaternion_pointing_factors *f, cons
     }
 }
 
-static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info, int from)
+static QUATERNION_POINTING_NOINLINE int quaternion_pointing_solve_scaled(const double *S, const double *z,
+    const double *y, double *tau, quaternion_pointing_info *info, int from)
 {
     quaternion_pointing_factors f;
     double zs[3], ys[3], r[3], x[3], answer[3];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = QUATERNION_POINTING_NO_EXPONENT;
     int status, i, j;
-    if (quaternion_pointing_largest(z, 3) >= UINT64_C(0x7ff0000000000000) || (y != NULL && quaternion_pointing_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
+    if (quaternion_pointing_largest(z, 3) >= QUATERNION_POINTING_INFINITY_BITS
+            || (y != NULL && quaternion_pointing_largest(y, 3) >= QUATERNION_POINTING_INFINITY_BITS)) {
         return quaternion_pointing_refuse(QUATERNION_POINTING_NONFINITE, info);
     }
     status = quaternion_pointing_factorise(S, &f, from);
@@ -972,7 +1057,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
         return quaternion_pointing_refuse(status, info);
     }
     if (f.rank == 3) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
@@ -980,15 +1065,17 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
     }
     for (i = 0; i < 3; ++i) {
         const int own = quaternion_pointing_exponent(quaternion_pointing_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != QUATERNION_POINTING_NO_EXPONENT && own != QUATERNION_POINTING_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == QUATERNION_POINTING_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 3; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : quaternion_pointing_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == QUATERNION_POINTING_NO_EXPONENT
+            ? 0.0 : quaternion_pointing_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 3; ++j) {
         ys[j] = y == NULL ? 0.0 : quaternion_pointing_shift(y[j], -unit);
@@ -1010,13 +1097,14 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
             answer[j] += quaternion_pointing_shift(x[j], unit);
         }
     }
-    if (quaternion_pointing_largest(answer, 3) >= UINT64_C(0x7ff0000000000000)) {
+    if (quaternion_pointing_largest(answer, 3) >= QUATERNION_POINTING_INFINITY_BITS) {
         return quaternion_pointing_refuse(QUATERNION_POINTING_OVERFLOW, info);
     }
     if (f.rank < 3 || info != NULL) {
         const int met = quaternion_pointing_consistent(S, z, y, answer, &residual);
         if (f.rank < 3) {
-            status = met ? QUATERNION_POINTING_RANK_DEFICIENT_CONSISTENT : QUATERNION_POINTING_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? QUATERNION_POINTING_RANK_DEFICIENT_CONSISTENT
+                : QUATERNION_POINTING_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -1033,7 +1121,8 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_scaled(const doub
     return status;
 }
 
-static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S, const double *z, const double *y, const double *tau, int path, quaternion_pointing_info *info)
+static QUATERNION_POINTING_NOINLINE void quaternion_pointing_report(const double *S, const double *z, const double *y,
+    const double *tau, int path, quaternion_pointing_info *info)
 {
     quaternion_pointing_factors f;
     (void)quaternion_pointing_consistent(S, z, y, tau, &info->residual);
@@ -1046,7 +1135,9 @@ static QUATERNION_POINTING_APART void quaternion_pointing_report(const double *S
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static QUATERNION_POINTING_NEAR void quaternion_pointing_correct(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B, const double *r, double *x, int careful)
+static QUATERNION_POINTING_INLINE_WITH_VECTORS void quaternion_pointing_correct(
+    const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B, const double *r,
+    double *x, int careful)
 {
     if (qr != NULL) {
         quaternion_pointing_qr_apply(qr, r, x, careful);
@@ -1056,15 +1147,16 @@ static QUATERNION_POINTING_NEAR void quaternion_pointing_correct(const quaternio
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *S, const double *B,
+static QUATERNION_POINTING_INLINE_WITH_VECTORS int quaternion_pointing_answer(const quaternion_pointing_normal *normal,
+    const quaternion_pointing_qr *qr, const double *S, const double *B,
     const double *z, const double *y, double *tau, quaternion_pointing_info *info)
 {
     double r[3], x[3], step[3];
     int j;
-    if (y != NULL && quaternion_pointing_largest(y, 3) >= UINT64_C(0x7ff0000000000000)) {
+    if (y != NULL && quaternion_pointing_largest(y, 3) >= QUATERNION_POINTING_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 3; ++j) {
             r[j] = z[j];
@@ -1085,13 +1177,15 @@ static QUATERNION_POINTING_NEAR int quaternion_pointing_answer(const quaternion_
     for (j = 0; j < 3; ++j) {
         x[j] += step[j];
     }
-    if (!quaternion_pointing_within(quaternion_pointing_biased_square(quaternion_pointing_inner(x, x)), 23, 1923)) {
+    if (!quaternion_pointing_within(quaternion_pointing_biased_square(quaternion_pointing_inner(x, x)),
+            QUATERNION_POINTING_ANSWER_LOW, QUATERNION_POINTING_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         double answer[3];
         quaternion_pointing_gather(x, answer);
-        quaternion_pointing_report(S, z, y, answer, qr != NULL ? QUATERNION_POINTING_PATH_QR : QUATERNION_POINTING_PATH_NORMAL, info);
+        quaternion_pointing_report(S, z, y, answer,
+            qr != NULL ? QUATERNION_POINTING_PATH_QR : QUATERNION_POINTING_PATH_NORMAL, info);
     }
     quaternion_pointing_gather(x, tau);
     return 1;
@@ -1104,10 +1198,11 @@ static int quaternion_pointing_qr_scaled(const double *B, quaternion_pointing_qr
     int i, j;
     for (i = 0; i < 3; ++i) {
         f->left[i] = quaternion_pointing_inner(B + 3 * i, B + 3 * i);
-        exponent[i] = (quaternion_pointing_biased(f->left[i]) + 1023) / 2; /* of the length */
+        /* of the length */
+        exponent[i] = (quaternion_pointing_biased(f->left[i]) + QUATERNION_POINTING_EXPONENT_BIAS) / 2;
     }
     for (i = 0; i < 3; ++i) {
-        const double unit = quaternion_pointing_power(1023 - (int)exponent[i]);
+        const double unit = quaternion_pointing_power(QUATERNION_POINTING_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 3; ++j) {
             f->line[i].p[j] = unit * B[3 * i + j];
         }
@@ -1119,7 +1214,8 @@ static int quaternion_pointing_qr_scaled(const double *B, quaternion_pointing_qr
     return quaternion_pointing_qr_certified(f);
 }
 
-static QUATERNION_POINTING_APART int quaternion_pointing_solve_qr(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+static QUATERNION_POINTING_NOINLINE int quaternion_pointing_solve_qr(const double *S, const double *z, const double *y,
+    double *tau, quaternion_pointing_info *info)
 {
     quaternion_pointing_qr f;
     const double *const B = S;
@@ -1130,7 +1226,8 @@ static QUATERNION_POINTING_APART int quaternion_pointing_solve_qr(const double *
     return quaternion_pointing_solve_scaled(S, z, y, tau, info, QUATERNION_POINTING_PATH_QR);
 }
 
-static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau, quaternion_pointing_info *info)
+static int quaternion_pointing_solve_core(const double *S, const double *z, const double *y, double *tau,
+    quaternion_pointing_info *info)
 {
     quaternion_pointing_normal f;
     int held;
@@ -1147,7 +1244,8 @@ static int quaternion_pointing_solve_core(const double *S, const double *z, cons
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double *S, double *S_pinv, quaternion_pointing_info *info)
+static QUATERNION_POINTING_NOINLINE int quaternion_pointing_pinv_core(const double *S, double *S_pinv,
+    quaternion_pointing_info *info)
 {
     quaternion_pointing_factors f;
     double unit[3], x[3], answer[9];
@@ -1160,7 +1258,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double 
         unit[i] = 0.0;
     }
     for (i = 0; i < 3; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == QUATERNION_POINTING_NO_EXPONENT;
         unit[i] = 1.0;
         quaternion_pointing_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1168,7 +1266,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double 
             answer[3 * j + i] = zero_row ? 0.0 : quaternion_pointing_shift(x[j], -f.exponent[i]);
         }
     }
-    if (quaternion_pointing_largest(answer, 9) >= UINT64_C(0x7ff0000000000000)) {
+    if (quaternion_pointing_largest(answer, 9) >= QUATERNION_POINTING_INFINITY_BITS) {
         return quaternion_pointing_refuse(QUATERNION_POINTING_OVERFLOW, info);
     }
     status = f.rank < 3 ? QUATERNION_POINTING_RANK_DEFICIENT_CONSISTENT : QUATERNION_POINTING_OK;
@@ -1186,7 +1284,7 @@ static QUATERNION_POINTING_APART int quaternion_pointing_pinv_core(const double 
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void quaternion_pointing_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1197,10 +1295,11 @@ static void quaternion_pointing_copy(const double *from, double *to, int n)
 
 static int quaternion_pointing_finite(const double *x, int n)
 {
-    return quaternion_pointing_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return quaternion_pointing_largest(x, n) < QUATERNION_POINTING_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* QUATERNION_POINTING_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come
+   in the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int quaternion_pointing_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1215,24 +1314,15 @@ static int quaternion_pointing_mass_status(const double *pivot, const double *sc
     return QUATERNION_POINTING_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int quaternion_pointing_input_finite(const quaternion_pointing_input *in)
 {
     return quaternion_pointing_finite(in->q, 4)
            && quaternion_pointing_finite(in->u, 3);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define QUATERNION_POINTING_COLD __attribute__((noinline, cold))
-#define QUATERNION_POINTING_SMALL inline __attribute__((always_inline))
-#else
-#define QUATERNION_POINTING_COLD
-#define QUATERNION_POINTING_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static QUATERNION_POINTING_COLD int quaternion_pointing_reason(int status, const quaternion_pointing_input *in)
 {
     if (!quaternion_pointing_input_finite(in)) {
@@ -1241,9 +1331,11 @@ static QUATERNION_POINTING_COLD int quaternion_pointing_reason(int status, const
     return status == QUATERNION_POINTING_NONFINITE ? QUATERNION_POINTING_OVERFLOW : status;
 }
 
-static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_psi(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *psi)
+static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_psi(const quaternion_pointing_model *model,
+    const quaternion_pointing_input *in, double *psi)
 {
     (void)model;
+    /* towards psi */
     const double t0 = in->q[1] * in->q[3];
     const double t1 = in->q[0] * in->q[2];
     const double t2 = t0 + t1;
@@ -1259,8 +1351,10 @@ static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_psi(const quatern
 }
 
 
-static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_S(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S)
+static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_S(const quaternion_pointing_model *model,
+    const quaternion_pointing_input *in, double *S)
 {
+    /* towards S */
     const double t0 = in->q[1] * in->q[2];
     const double t1 = in->q[3] * in->q[0];
     const double t2 = t0 - t1;
@@ -1294,8 +1388,10 @@ static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_S(const quaternio
 }
 
 
-static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *z)
+static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_z(const quaternion_pointing_model *model,
+    const quaternion_pointing_input *in, double *z)
 {
+    /* towards z */
     const double t0 = in->q[1] * in->q[3];
     const double t1 = in->q[0] * in->q[2];
     const double t2 = t0 + t1;
@@ -1361,8 +1457,10 @@ static QUATERNION_POINTING_SMALL void quaternion_pointing_eval_z(const quaternio
 }
 
 
-static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S, double *z)
+static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in,
+    double *S, double *z)
 {
+    /* towards z */
     const double t0 = in->q[1] * in->q[3];
     const double t1 = in->q[0] * in->q[2];
     const double t2 = t0 + t1;
@@ -1371,10 +1469,13 @@ static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model,
     const double t5 = in->q[1] * in->q[0];
     const double t6 = t4 - t5;
     const double t7 = t6 + t6;
+    /* towards S, z */
     const double t8 = in->q[1] * in->q[2];
     const double t9 = in->q[3] * in->q[0];
     const double t10 = t8 - t9;
+    /* towards S */
     const double t11 = model->c0 * t10;
+    /* towards S, z */
     const double t12 = in->q[1] * in->q[1];
     const double t13 = in->q[2] * in->q[2];
     const double t14 = t12 - t13;
@@ -1384,13 +1485,19 @@ static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model,
     const double t18 = t16 - t17;
     const double t19 = 0.5 * t18;
     const double t20 = t15 - t19;
+    /* towards S */
     const double t21 = t20 + t20;
     const double t22 = t21 / model->I_2;
+    /* towards S, z */
     const double t23 = t15 + t19;
+    /* towards S */
     const double t24 = t23 + t23;
     const double t25 = t24 / model->I_1;
+    /* towards S, z */
     const double t26 = t8 + t9;
+    /* towards S */
     const double t27 = model->c1 * t26;
+    /* towards z */
     const double t28 = t3 * in->u[1];
     const double t29 = model->c3 * in->u[2];
     const double t30 = t10 * t29;
@@ -1561,7 +1668,8 @@ int quaternion_pointing_z(const quaternion_pointing_model *model, const quaterni
     return QUATERNION_POINTING_OK;
 }
 
-int quaternion_pointing_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S, double *z)
+int quaternion_pointing_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *S,
+    double *z)
 {
     double new_S[9];
     double new_z[3];
@@ -1581,7 +1689,8 @@ const quaternion_pointing_params quaternion_pointing_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static QUATERNION_POINTING_COLD int quaternion_pointing_failed(int status, const quaternion_pointing_input *in, quaternion_pointing_info *info)
+static QUATERNION_POINTING_COLD int quaternion_pointing_failed(int status, const quaternion_pointing_input *in,
+    quaternion_pointing_info *info)
 {
     return quaternion_pointing_refuse(quaternion_pointing_reason(status, in), info);
 }
@@ -1591,7 +1700,8 @@ int quaternion_pointing_pinv(const double *S, double *S_pinv, quaternion_pointin
     return quaternion_pointing_pinv_core(S, S_pinv, info);
 }
 
-int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in, double *tau, quaternion_pointing_info *info)
+int quaternion_pointing_control(const quaternion_pointing_model *model, const quaternion_pointing_input *in,
+    double *tau, quaternion_pointing_info *info)
 {
     double S[9], z[3];
     int status;

@@ -11,22 +11,77 @@
 #error "build skewed_thrusters.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 6 x 8, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define SKEWED_THRUSTERS_NOINLINE __attribute__((noinline))
+#define SKEWED_THRUSTERS_COLD __attribute__((noinline, cold))
+#define SKEWED_THRUSTERS_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define SKEWED_THRUSTERS_NOINLINE
+#define SKEWED_THRUSTERS_COLD
+#define SKEWED_THRUSTERS_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define SKEWED_THRUSTERS_FRACTION_BITS 52
+#define SKEWED_THRUSTERS_EXPONENT_BIAS 1023
+#define SKEWED_THRUSTERS_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define SKEWED_THRUSTERS_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define SKEWED_THRUSTERS_NO_EXPONENT (-16384)
+#define SKEWED_THRUSTERS_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define SKEWED_THRUSTERS_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define SKEWED_THRUSTERS_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define SKEWED_THRUSTERS_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 6 x 8, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define SKEWED_THRUSTERS_CONSISTENCY 1.4210854715202004e-14 /* a row whose relative residual is at most this is met */
+/* singular values at or below this part of the largest count as zero */
+#define SKEWED_THRUSTERS_RTOL 1.7763568394002505e-15
+#define SKEWED_THRUSTERS_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_0 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_1 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_2 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_3 523 /* exponents of row 3's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_3 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_4 523 /* exponents of row 4's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_4 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_5 523 /* exponents of row 5's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_5 1523
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define SKEWED_THRUSTERS_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define SKEWED_THRUSTERS_NORMAL_LIMIT 27271342415.357616
+#define SKEWED_THRUSTERS_QR_LIMIT 1.1091942751997008e+28 /* up to this bound times |B|^2 the QR needs no SVD */
+#define SKEWED_THRUSTERS_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
+/* eps^2: columns with less than this part of all squares are noise */
+#define SKEWED_THRUSTERS_NEGLIGIBLE 4.930380657631324e-32
+/* columns whose squared cosine is at most this are not rotated */
+#define SKEWED_THRUSTERS_ORTHOGONAL 9.86076131526265e-32
+#define SKEWED_THRUSTERS_CONVERGED 1.7749370367472766e-30 /* a sweep that met no larger squared cosine was the last */
+#define SKEWED_THRUSTERS_SWEEP_CAP 10 /* sweeps of Jacobi's method at most: two more than were ever seen */
+
+typedef union skewed_thrusters_word {
     double value;
     uint64_t bits;
 } skewed_thrusters_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t skewed_thrusters_magnitude(double x)
 {
     skewed_thrusters_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & SKEWED_THRUSTERS_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t skewed_thrusters_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +120,18 @@ static double skewed_thrusters_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= SKEWED_THRUSTERS_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < SKEWED_THRUSTERS_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -SKEWED_THRUSTERS_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> SKEWED_THRUSTERS_FRACTION_BITS) - SKEWED_THRUSTERS_EXPONENT_BIAS;
+    rest = (word.bits & (SKEWED_THRUSTERS_SMALLEST_NORMAL - 1u)) | SKEWED_THRUSTERS_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = SKEWED_THRUSTERS_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,65 +139,62 @@ static double skewed_thrusters_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + SKEWED_THRUSTERS_EXPONENT_BIAS - 1) << SKEWED_THRUSTERS_FRACTION_BITS);
     return word.value;
 }
 #endif
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define SKEWED_THRUSTERS_APART __attribute__((noinline))
-#else
-#define SKEWED_THRUSTERS_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from SKEWED_THRUSTERS_EXPONENT_MIN to SKEWED_THRUSTERS_EXPONENT_MAX, by writing its exponent. */
 static double skewed_thrusters_power(int k)
 {
     skewed_thrusters_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + SKEWED_THRUSTERS_EXPONENT_BIAS) << SKEWED_THRUSTERS_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double skewed_thrusters_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= SKEWED_THRUSTERS_EXPONENT_MIN && k <= SKEWED_THRUSTERS_EXPONENT_MAX) {
         return x * skewed_thrusters_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= skewed_thrusters_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > SKEWED_THRUSTERS_EXPONENT_MAX; ++step) {
+        x *= skewed_thrusters_power(SKEWED_THRUSTERS_EXPONENT_MAX);
+        k -= SKEWED_THRUSTERS_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= skewed_thrusters_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < SKEWED_THRUSTERS_EXPONENT_MIN; ++step) {
+        x *= skewed_thrusters_power(SKEWED_THRUSTERS_EXPONENT_MIN + SKEWED_THRUSTERS_FRACTION_BITS + 1);
+        k -= SKEWED_THRUSTERS_EXPONENT_MIN + SKEWED_THRUSTERS_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > SKEWED_THRUSTERS_EXPONENT_MAX) {
+        k = SKEWED_THRUSTERS_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < SKEWED_THRUSTERS_EXPONENT_MIN) {
+        k = SKEWED_THRUSTERS_EXPONENT_MIN;
     }
     return x * skewed_thrusters_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; SKEWED_THRUSTERS_NO_EXPONENT for
+   zero. */
 static int skewed_thrusters_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return SKEWED_THRUSTERS_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < SKEWED_THRUSTERS_SMALLEST_NORMAL) {
         skewed_thrusters_word word;
         word.bits = magnitude;
-        magnitude = skewed_thrusters_magnitude(word.value * skewed_thrusters_power(64));
-        lift = 64;
+        magnitude = skewed_thrusters_magnitude(word.value * skewed_thrusters_power(SKEWED_THRUSTERS_SUBNORMAL_LIFT));
+        lift = SKEWED_THRUSTERS_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> SKEWED_THRUSTERS_FRACTION_BITS) - SKEWED_THRUSTERS_EXPONENT_BIAS - lift;
 }
 
 static double skewed_thrusters_abs(double x)
@@ -150,62 +202,64 @@ static double skewed_thrusters_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t skewed_thrusters_biased_square(double square)
 {
     skewed_thrusters_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> SKEWED_THRUSTERS_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int skewed_thrusters_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define SKEWED_THRUSTERS_NEAR
-#define SKEWED_THRUSTERS_WRITTEN_OUT
+#define SKEWED_THRUSTERS_INLINE_WITH_VECTORS
+#define SKEWED_THRUSTERS_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define SKEWED_THRUSTERS_NEAR inline __attribute__((always_inline))
-#define SKEWED_THRUSTERS_WRITTEN_OUT
+#define SKEWED_THRUSTERS_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define SKEWED_THRUSTERS_UNROLL
 #elif defined(__clang__)
-#define SKEWED_THRUSTERS_NEAR
-#define SKEWED_THRUSTERS_WRITTEN_OUT /* it does so by itself */
+#define SKEWED_THRUSTERS_INLINE_WITH_VECTORS
+#define SKEWED_THRUSTERS_UNROLL /* clang writes such loops out by itself */
 #else
-#define SKEWED_THRUSTERS_NEAR
-#define SKEWED_THRUSTERS_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define SKEWED_THRUSTERS_INLINE_WITH_VECTORS
+#define SKEWED_THRUSTERS_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static SKEWED_THRUSTERS_NEAR void skewed_thrusters_spread(const double *restrict v, double factor, double *restrict w)
+static SKEWED_THRUSTERS_INLINE_WITH_VECTORS void skewed_thrusters_spread(const double *restrict v, double factor,
+    double *restrict w)
 {
     int k;
-    SKEWED_THRUSTERS_WRITTEN_OUT
+    SKEWED_THRUSTERS_UNROLL
     for (k = 0; k < 8; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* a b, in four sums that a machine with vectors and one without add up alike. */
-static SKEWED_THRUSTERS_NEAR double skewed_thrusters_inner(const double *a, const double *b)
+/* The inner product in four sums, which a machine with vectors and one without add up in the same order: same bits. */
+static SKEWED_THRUSTERS_INLINE_WITH_VECTORS double skewed_thrusters_inner(const double *a, const double *b)
 {
     double sum[4];
     int k;
-    SKEWED_THRUSTERS_WRITTEN_OUT
+    SKEWED_THRUSTERS_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] = a[k] * b[k];
     }
-    SKEWED_THRUSTERS_WRITTEN_OUT
+    SKEWED_THRUSTERS_UNROLL
     for (k = 0; k < 4; ++k) {
         sum[k] += a[k + 4] * b[k + 4];
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-typedef struct {
+typedef struct skewed_thrusters_normal {
     double lower[15]; /* L below its unit diagonal, row by row */
     double inverse[6]; /* 1 / D */
 } skewed_thrusters_normal;
@@ -213,8 +267,8 @@ typedef struct {
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 4.3e-14, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 4.3e-14, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_normal *f)
 {
     const double g_0_0 = skewed_thrusters_inner(B, B);
@@ -250,11 +304,22 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     double v_4_0, l_4_0, n_4_0, v_4_1, l_4_1, n_4_1, v_4_2, l_4_2, n_4_2, v_4_3, l_4_3, n_4_3;
     double v_5_0, l_5_0, n_5_0, v_5_1, l_5_1, n_5_1, v_5_2, l_5_2, n_5_2, v_5_3, l_5_3, n_5_3, v_5_4, l_5_4, n_5_4;
     double bound;
-    if (!skewed_thrusters_within(skewed_thrusters_biased_square(g_0_0), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_1_1), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_2_2), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_3_3), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_4_4), 523, 1523) || !skewed_thrusters_within(skewed_thrusters_biased_square(g_5_5), 523, 1523)) {
+    if (!skewed_thrusters_within(skewed_thrusters_biased_square(g_0_0), SKEWED_THRUSTERS_SQUARE_LOW_0,
+            SKEWED_THRUSTERS_SQUARE_HIGH_0)
+            || !skewed_thrusters_within(skewed_thrusters_biased_square(g_1_1), SKEWED_THRUSTERS_SQUARE_LOW_1,
+            SKEWED_THRUSTERS_SQUARE_HIGH_1)
+            || !skewed_thrusters_within(skewed_thrusters_biased_square(g_2_2), SKEWED_THRUSTERS_SQUARE_LOW_2,
+            SKEWED_THRUSTERS_SQUARE_HIGH_2)
+            || !skewed_thrusters_within(skewed_thrusters_biased_square(g_3_3), SKEWED_THRUSTERS_SQUARE_LOW_3,
+            SKEWED_THRUSTERS_SQUARE_HIGH_3)
+            || !skewed_thrusters_within(skewed_thrusters_biased_square(g_4_4), SKEWED_THRUSTERS_SQUARE_LOW_4,
+            SKEWED_THRUSTERS_SQUARE_HIGH_4)
+            || !skewed_thrusters_within(skewed_thrusters_biased_square(g_5_5), SKEWED_THRUSTERS_SQUARE_LOW_5,
+            SKEWED_THRUSTERS_SQUARE_HIGH_5)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
@@ -269,7 +334,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     v_5_0 = g_5_0;
     l_5_0 = v_5_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
@@ -282,7 +347,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     v_5_1 = g_5_1 - v_5_0 * l_1_0;
     l_5_1 = v_5_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
-    if (!(d_2 > 3.666852862501036e-11 * g_2_2)) { /* bound exceeds g / d */
+    if (!(d_2 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
     i_2 = 1.0 / d_2;
@@ -293,7 +358,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     v_5_2 = g_5_2 - v_5_0 * l_2_0 - v_5_1 * l_2_1;
     l_5_2 = v_5_2 * i_2;
     d_3 = g_3_3 - v_3_0 * l_3_0 - v_3_1 * l_3_1 - v_3_2 * l_3_2;
-    if (!(d_3 > 3.666852862501036e-11 * g_3_3)) { /* bound exceeds g / d */
+    if (!(d_3 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
     i_3 = 1.0 / d_3;
@@ -302,14 +367,14 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
     l_5_3 = v_5_3 * i_3;
     d_4 = g_4_4 - v_4_0 * l_4_0 - v_4_1 * l_4_1 - v_4_2 * l_4_2 - v_4_3 * l_4_3;
-    if (!(d_4 > 3.666852862501036e-11 * g_4_4)) { /* bound exceeds g / d */
+    if (!(d_4 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
     i_4 = 1.0 / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
-    if (!(d_5 > 3.666852862501036e-11 * g_5_5)) { /* bound exceeds g / d */
+    if (!(d_5 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
     i_5 = 1.0 / d_5;
@@ -322,19 +387,24 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     n_4_3 = skewed_thrusters_abs(l_4_3);
     n_4_2 = skewed_thrusters_abs(l_4_2) + skewed_thrusters_abs(l_4_3) * n_3_2;
     n_4_1 = skewed_thrusters_abs(l_4_1) + skewed_thrusters_abs(l_4_2) * n_2_1 + skewed_thrusters_abs(l_4_3) * n_3_1;
-    n_4_0 = skewed_thrusters_abs(l_4_0) + skewed_thrusters_abs(l_4_1) * n_1_0 + skewed_thrusters_abs(l_4_2) * n_2_0 + skewed_thrusters_abs(l_4_3) * n_3_0;
+    n_4_0 = skewed_thrusters_abs(l_4_0) + skewed_thrusters_abs(l_4_1) * n_1_0 + skewed_thrusters_abs(l_4_2) * n_2_0
+        + skewed_thrusters_abs(l_4_3) * n_3_0;
     n_5_4 = skewed_thrusters_abs(l_5_4);
     n_5_3 = skewed_thrusters_abs(l_5_3) + skewed_thrusters_abs(l_5_4) * n_4_3;
     n_5_2 = skewed_thrusters_abs(l_5_2) + skewed_thrusters_abs(l_5_3) * n_3_2 + skewed_thrusters_abs(l_5_4) * n_4_2;
-    n_5_1 = skewed_thrusters_abs(l_5_1) + skewed_thrusters_abs(l_5_2) * n_2_1 + skewed_thrusters_abs(l_5_3) * n_3_1 + skewed_thrusters_abs(l_5_4) * n_4_1;
-    n_5_0 = skewed_thrusters_abs(l_5_0) + skewed_thrusters_abs(l_5_1) * n_1_0 + skewed_thrusters_abs(l_5_2) * n_2_0 + skewed_thrusters_abs(l_5_3) * n_3_0 + skewed_thrusters_abs(l_5_4) * n_4_0;
+    n_5_1 = skewed_thrusters_abs(l_5_1) + skewed_thrusters_abs(l_5_2) * n_2_1 + skewed_thrusters_abs(l_5_3) * n_3_1
+        + skewed_thrusters_abs(l_5_4) * n_4_1;
+    n_5_0 = skewed_thrusters_abs(l_5_0) + skewed_thrusters_abs(l_5_1) * n_1_0 + skewed_thrusters_abs(l_5_2) * n_2_0
+        + skewed_thrusters_abs(l_5_3) * n_3_0 + skewed_thrusters_abs(l_5_4) * n_4_0;
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
     bound += i_2 * (n_2_0 * n_2_0 * g_0_0 + n_2_1 * n_2_1 * g_1_1 + g_2_2);
     bound += i_3 * (n_3_0 * n_3_0 * g_0_0 + n_3_1 * n_3_1 * g_1_1 + n_3_2 * n_3_2 * g_2_2 + g_3_3);
-    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3 + g_4_4);
-    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3 + n_5_4 * n_5_4 * g_4_4 + g_5_5);
-    if (!(bound <= 27271342415.357616)) {
+    bound += i_4 * (n_4_0 * n_4_0 * g_0_0 + n_4_1 * n_4_1 * g_1_1 + n_4_2 * n_4_2 * g_2_2 + n_4_3 * n_4_3 * g_3_3
+        + g_4_4);
+    bound += i_5 * (n_5_0 * n_5_0 * g_0_0 + n_5_1 * n_5_1 * g_1_1 + n_5_2 * n_5_2 * g_2_2 + n_5_3 * n_5_3 * g_3_3
+        + n_5_4 * n_5_4 * g_4_4 + g_5_5);
+    if (!(bound <= SKEWED_THRUSTERS_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -369,13 +439,16 @@ static void skewed_thrusters_normal_solve(const skewed_thrusters_normal *f, cons
     const double a_2 = r[2] - f->lower[1] * a_0 - f->lower[2] * a_1;
     const double a_3 = r[3] - f->lower[3] * a_0 - f->lower[4] * a_1 - f->lower[5] * a_2;
     const double a_4 = r[4] - f->lower[6] * a_0 - f->lower[7] * a_1 - f->lower[8] * a_2 - f->lower[9] * a_3;
-    const double a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3 - f->lower[14] * a_4;
+    const double a_5 = r[5] - f->lower[10] * a_0 - f->lower[11] * a_1 - f->lower[12] * a_2 - f->lower[13] * a_3
+        - f->lower[14] * a_4;
     const double b_5 = f->inverse[5] * a_5;
     const double b_4 = f->inverse[4] * a_4 - f->lower[14] * b_5;
     const double b_3 = f->inverse[3] * a_3 - f->lower[13] * b_5 - f->lower[9] * b_4;
     const double b_2 = f->inverse[2] * a_2 - f->lower[12] * b_5 - f->lower[8] * b_4 - f->lower[5] * b_3;
-    const double b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3 - f->lower[2] * b_2;
-    const double b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3 - f->lower[1] * b_2 - f->lower[0] * b_1;
+    const double b_1 = f->inverse[1] * a_1 - f->lower[11] * b_5 - f->lower[7] * b_4 - f->lower[4] * b_3
+        - f->lower[2] * b_2;
+    const double b_0 = f->inverse[0] * a_0 - f->lower[10] * b_5 - f->lower[6] * b_4 - f->lower[3] * b_3
+        - f->lower[1] * b_2 - f->lower[0] * b_1;
     w[0] = b_0;
     w[1] = b_1;
     w[2] = b_2;
@@ -385,15 +458,16 @@ static void skewed_thrusters_normal_solve(const skewed_thrusters_normal *f, cons
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct skewed_thrusters_line {
     double p[8];
     double l[8];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } skewed_thrusters_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct skewed_thrusters_qr {
     skewed_thrusters_line line[6];
     skewed_thrusters_line *at[6];
     double left[6];    /* squared length of at[k]->p */
@@ -404,7 +478,8 @@ typedef struct {
 } skewed_thrusters_qr;
 
 /* rest -= along pivot, its squared length. */
-static SKEWED_THRUSTERS_NEAR double skewed_thrusters_take_out(double *restrict rest, const double *restrict pivot, double along)
+static SKEWED_THRUSTERS_INLINE_WITH_VECTORS double skewed_thrusters_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 8; ++j) {
@@ -441,7 +516,7 @@ static void skewed_thrusters_qr_reduce(skewed_thrusters_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= SKEWED_THRUSTERS_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -474,8 +549,8 @@ static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
     skewed_thrusters_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -499,23 +574,30 @@ static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
     n_2_0 = skewed_thrusters_abs(row_2[0]) + skewed_thrusters_abs(row_2[1]) * n_1_0;
     n_3_2 = skewed_thrusters_abs(row_3[2]);
     n_3_1 = skewed_thrusters_abs(row_3[1]) + skewed_thrusters_abs(row_3[2]) * n_2_1;
-    n_3_0 = skewed_thrusters_abs(row_3[0]) + skewed_thrusters_abs(row_3[1]) * n_1_0 + skewed_thrusters_abs(row_3[2]) * n_2_0;
+    n_3_0 = skewed_thrusters_abs(row_3[0]) + skewed_thrusters_abs(row_3[1]) * n_1_0
+        + skewed_thrusters_abs(row_3[2]) * n_2_0;
     n_4_3 = skewed_thrusters_abs(row_4[3]);
     n_4_2 = skewed_thrusters_abs(row_4[2]) + skewed_thrusters_abs(row_4[3]) * n_3_2;
-    n_4_1 = skewed_thrusters_abs(row_4[1]) + skewed_thrusters_abs(row_4[2]) * n_2_1 + skewed_thrusters_abs(row_4[3]) * n_3_1;
-    n_4_0 = skewed_thrusters_abs(row_4[0]) + skewed_thrusters_abs(row_4[1]) * n_1_0 + skewed_thrusters_abs(row_4[2]) * n_2_0 + skewed_thrusters_abs(row_4[3]) * n_3_0;
+    n_4_1 = skewed_thrusters_abs(row_4[1]) + skewed_thrusters_abs(row_4[2]) * n_2_1
+        + skewed_thrusters_abs(row_4[3]) * n_3_1;
+    n_4_0 = skewed_thrusters_abs(row_4[0]) + skewed_thrusters_abs(row_4[1]) * n_1_0
+        + skewed_thrusters_abs(row_4[2]) * n_2_0 + skewed_thrusters_abs(row_4[3]) * n_3_0;
     n_5_4 = skewed_thrusters_abs(row_5[4]);
     n_5_3 = skewed_thrusters_abs(row_5[3]) + skewed_thrusters_abs(row_5[4]) * n_4_3;
-    n_5_2 = skewed_thrusters_abs(row_5[2]) + skewed_thrusters_abs(row_5[3]) * n_3_2 + skewed_thrusters_abs(row_5[4]) * n_4_2;
-    n_5_1 = skewed_thrusters_abs(row_5[1]) + skewed_thrusters_abs(row_5[2]) * n_2_1 + skewed_thrusters_abs(row_5[3]) * n_3_1 + skewed_thrusters_abs(row_5[4]) * n_4_1;
-    n_5_0 = skewed_thrusters_abs(row_5[0]) + skewed_thrusters_abs(row_5[1]) * n_1_0 + skewed_thrusters_abs(row_5[2]) * n_2_0 + skewed_thrusters_abs(row_5[3]) * n_3_0 + skewed_thrusters_abs(row_5[4]) * n_4_0;
+    n_5_2 = skewed_thrusters_abs(row_5[2]) + skewed_thrusters_abs(row_5[3]) * n_3_2
+        + skewed_thrusters_abs(row_5[4]) * n_4_2;
+    n_5_1 = skewed_thrusters_abs(row_5[1]) + skewed_thrusters_abs(row_5[2]) * n_2_1
+        + skewed_thrusters_abs(row_5[3]) * n_3_1 + skewed_thrusters_abs(row_5[4]) * n_4_1;
+    n_5_0 = skewed_thrusters_abs(row_5[0]) + skewed_thrusters_abs(row_5[1]) * n_1_0
+        + skewed_thrusters_abs(row_5[2]) * n_2_0 + skewed_thrusters_abs(row_5[3]) * n_3_0
+        + skewed_thrusters_abs(row_5[4]) * n_4_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
-    return bound * total < 1.1091942751997008e+28;
+    return bound * total < SKEWED_THRUSTERS_QR_LIMIT;
 }
 
 /* a b, over the 8 numbers (the last 2 zero) of the triangle's columns. */
@@ -545,8 +627,9 @@ static void skewed_thrusters_rotate(double *restrict a, double *restrict b, doub
 }
 
 /* One-sided Jacobi: Hestenes (1958), in the order of de Rijk (1989), on the triangle of a pivoted QR as in Drmac and
-   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No square root but in the
-   rotation, and no quotient that can overflow: with t as large as here, squares of squares stay in range.
+   Veselic (2008). It rotates the `count` columns t_k until they are orthogonal; square_k = |t_k|^2, largest first. No
+   square root but in the rotation, and no quotient that can overflow: with t as large as here, squares of squares stay
+   in range.
    Returns the sweeps it took, or 0 if 10 did not do. */
 static int skewed_thrusters_jacobi(double *t, int count, double *square)
 {
@@ -556,8 +639,8 @@ static int skewed_thrusters_jacobi(double *t, int count, double *square)
         square[i] = skewed_thrusters_short(t + 8 * i, t + 8 * i);
         least += square[i];
     }
-    least *= 4.930380657631324e-32;
-    for (sweep = 1; sweep <= 10; ++sweep) {
+    least *= SKEWED_THRUSTERS_NEGLIGIBLE;
+    for (sweep = 1; sweep <= SKEWED_THRUSTERS_SWEEP_CAP; ++sweep) {
         int turned = 0;
         for (i = 0; i < count; ++i) {
             double *const a = t + 8 * i;
@@ -582,20 +665,21 @@ static int skewed_thrusters_jacobi(double *t, int count, double *square)
                 const double product = square[i] * square[j];
                 const double gap = square[i] - square[j];
                 double h, c, s;
-                if (inner * inner <= 9.86076131526265e-32 * product) {
+                if (inner * inner <= SKEWED_THRUSTERS_ORTHOGONAL * product) {
                     continue;
                 }
                 if (square[i] <= least || square[j] <= least) {
                     continue; /* rounding noise never becomes orthogonal */
                 }
-                if (inner * inner > 1.7749370367472766e-30 * product) { /* more than rounding can bring back */
+                if (inner * inner > SKEWED_THRUSTERS_CONVERGED * product) { /* more than rounding can bring back */
                     turned = 1;
                 }
                 /* cos and sin of half the angle of (gap, 2 inner) */
                 h = skewed_thrusters_sqrt(gap * gap + 4.0 * inner * inner);
                 c = skewed_thrusters_sqrt(0.5 + 0.5 * (skewed_thrusters_abs(gap) / h));
                 s = gap < 0.0 ? inner : -inner;
-                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1 + c) rounds less than
+                h *= c; /* two quotients that do not wait for each other; a correction by s and s / (1
+                    + c) rounds less than
                            c and s (Rutishauser 1966) */
                 c = s / (h * (1.0 + c));
                 s /= h;
@@ -611,8 +695,8 @@ static int skewed_thrusters_jacobi(double *t, int count, double *square)
     return 0;
 }
 
-/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[8*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int skewed_thrusters_svd(const skewed_thrusters_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -641,9 +725,9 @@ static int skewed_thrusters_svd(const skewed_thrusters_qr *f, double *left, doub
     return sweeps;
 }
 
-typedef struct {
+typedef struct skewed_thrusters_factors {
     double B[48];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[6];   /* -16384 where a row counts as zero */
+    int exponent[6];   /* SKEWED_THRUSTERS_NO_EXPONENT where a row counts as zero */
     skewed_thrusters_normal normal;
     skewed_thrusters_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -658,9 +742,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } skewed_thrusters_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void skewed_thrusters_undo_scaling(skewed_thrusters_factors *f, int top)
 {
     double F[36]; /* column k in F + 6 k; reflections below the diagonal, R above */
@@ -678,7 +763,7 @@ static void skewed_thrusters_undo_scaling(skewed_thrusters_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 6; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[6 * k + i] = exponent == -16384 ? 0.0 :
+            F[6 * k + i] = exponent == SKEWED_THRUSTERS_NO_EXPONENT ? 0.0 :
                 skewed_thrusters_shift(f->left[6 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -755,18 +840,19 @@ static void skewed_thrusters_undo_scaling(skewed_thrusters_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is SKEWED_THRUSTERS_NO_EXPONENT. */
 static void skewed_thrusters_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 6; ++i) {
         const double *const row = S + 8 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -SKEWED_THRUSTERS_EXPONENT_MAX && exponent[i] <= -SKEWED_THRUSTERS_EXPONENT_MIN) {
             skewed_thrusters_spread(row, skewed_thrusters_power(-exponent[i]), B + 8 * i);
         } else {
             double shifted[8];
             for (j = 0; j < 8; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : skewed_thrusters_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == SKEWED_THRUSTERS_NO_EXPONENT
+                    ? 0.0 : skewed_thrusters_shift(row[j], -exponent[i]);
             }
             skewed_thrusters_spread(shifted, 1.0, B + 8 * i);
         }
@@ -783,7 +869,8 @@ static int skewed_thrusters_length(const double *row, int exponent)
         shifted[j] = skewed_thrusters_shift(row[j], -exponent);
     }
     skewed_thrusters_spread(shifted, 1.0, padded);
-    return exponent + skewed_thrusters_exponent(skewed_thrusters_magnitude(skewed_thrusters_inner(padded, padded))) / 2;
+    return exponent + skewed_thrusters_exponent(
+        skewed_thrusters_magnitude(skewed_thrusters_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -829,8 +916,10 @@ static void skewed_thrusters_vectors(skewed_thrusters_factors *f, const double *
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S, skewed_thrusters_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise_svd(const double *S, skewed_thrusters_factors *f,
+    int top, int bottom)
 {
     double u[48];
     int i;
@@ -840,7 +929,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S
     }
     f->rank = 0;
     for (i = 0; i < 6; ++i) {
-        f->rank += f->sigma[i] > 1.7763568394002505e-15 * f->sigma[0];
+        f->rank += f->sigma[i] > SKEWED_THRUSTERS_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 6;
     if (!f->direct) {
@@ -848,7 +937,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S
         if (f->rank > 0 && bottom != top) {
             skewed_thrusters_undo_scaling(f, top);
             for (i = 0; i < 6; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == SKEWED_THRUSTERS_NO_EXPONENT ? SKEWED_THRUSTERS_NO_EXPONENT : top;
             }
             skewed_thrusters_scale(S, f->exponent, f->B);
         }
@@ -857,19 +946,19 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise_svd(const double *S
 }
 
 /* The ladder, from the step `from` on. */
-static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int from)
+static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = SKEWED_THRUSTERS_NO_EXPONENT;
+    int bottom = -SKEWED_THRUSTERS_NO_EXPONENT;
     int i;
     for (i = 0; i < 6; ++i) {
         skewed_thrusters_word word;
         word.bits = skewed_thrusters_largest(S + 8 * i, 8);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= SKEWED_THRUSTERS_INFINITY_BITS) {
             return SKEWED_THRUSTERS_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = SKEWED_THRUSTERS_NO_EXPONENT;
         if (word.value > 0.0) {
             f->exponent[i] = skewed_thrusters_length(S + 8 * i, skewed_thrusters_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -902,7 +991,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_factorise(const double *S, sk
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static SKEWED_THRUSTERS_APART double skewed_thrusters_sigma_min(const double *S, skewed_thrusters_factors *f)
+static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_sigma_min(const double *S, skewed_thrusters_factors *f)
 {
     const uint64_t magnitude = skewed_thrusters_largest(S, 48);
     const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
@@ -919,12 +1008,12 @@ static SKEWED_THRUSTERS_APART double skewed_thrusters_sigma_min(const double *S,
     return skewed_thrusters_shift(f->sigma[5], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int skewed_thrusters_refuse(int status, skewed_thrusters_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = SKEWED_THRUSTERS_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -933,17 +1022,19 @@ static int skewed_thrusters_refuse(int status, skewed_thrusters_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.42e-14 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= SKEWED_THRUSTERS_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int skewed_thrusters_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int skewed_thrusters_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = skewed_thrusters_exponent(skewed_thrusters_largest(tau, 8));
     double t[8], rest[6];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[6];
-    int top = -16384;
+    int top = SKEWED_THRUSTERS_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -951,9 +1042,9 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 8; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : skewed_thrusters_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == SKEWED_THRUSTERS_NO_EXPONENT ? 0.0 : skewed_thrusters_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != SKEWED_THRUSTERS_NO_EXPONENT) {
             const double yj = skewed_thrusters_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -963,17 +1054,18 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
         const double *const row = S + 8 * i;
         const int row_unit = skewed_thrusters_exponent(skewed_thrusters_largest(row, 8));
         const int z_unit = skewed_thrusters_exponent(skewed_thrusters_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == SKEWED_THRUSTERS_NO_EXPONENT || tau_unit == SKEWED_THRUSTERS_NO_EXPONENT
+            ? SKEWED_THRUSTERS_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == SKEWED_THRUSTERS_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != SKEWED_THRUSTERS_NO_EXPONENT) {
             for (j = 0; j < 8; ++j) {
                 const double s = skewed_thrusters_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -983,24 +1075,26 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
         }
         target = skewed_thrusters_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.4210854715202004e-14 * (scale * skewed_thrusters_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = SKEWED_THRUSTERS_CONSISTENCY
+            * (scale * skewed_thrusters_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 6; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != SKEWED_THRUSTERS_NO_EXPONENT) {
             rest[i] = skewed_thrusters_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : skewed_thrusters_shift(skewed_thrusters_sqrt(norm), top);
+    *residual = top == SKEWED_THRUSTERS_NO_EXPONENT ? 0.0 : skewed_thrusters_shift(skewed_thrusters_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x, int careful)
+static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x,
+    int careful)
 {
     const skewed_thrusters_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -1013,7 +1107,8 @@ static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double
     const skewed_thrusters_line *const p_4 = f->at[4];
     const double w_4 = p_4->unit * r[p_4->row] - p_4->l[0] * w_0 - p_4->l[1] * w_1 - p_4->l[2] * w_2 - p_4->l[3] * w_3;
     const skewed_thrusters_line *const p_5 = f->at[5];
-    const double w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3 - p_5->l[4] * w_4;
+    const double w_5 = p_5->unit * r[p_5->row] - p_5->l[0] * w_0 - p_5->l[1] * w_1 - p_5->l[2] * w_2 - p_5->l[3] * w_3
+        - p_5->l[4] * w_4;
     double c_0 = w_0 * f->inverse[0];
     double c_1 = w_1 * f->inverse[1];
     double c_2 = w_2 * f->inverse[2];
@@ -1026,22 +1121,26 @@ static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double
         c_3 = (w_3 - f->cross[13] * c_5 - f->cross[9] * c_4) * f->inverse[3];
         c_2 = (w_2 - f->cross[12] * c_5 - f->cross[8] * c_4 - f->cross[5] * c_3) * f->inverse[2];
         c_1 = (w_1 - f->cross[11] * c_5 - f->cross[7] * c_4 - f->cross[4] * c_3 - f->cross[2] * c_2) * f->inverse[1];
-        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2 - f->cross[0] * c_1) * f->inverse[0];
+        c_0 = (w_0 - f->cross[10] * c_5 - f->cross[6] * c_4 - f->cross[3] * c_3 - f->cross[1] * c_2
+            - f->cross[0] * c_1) * f->inverse[0];
     }
     for (j = 0; j < 8; ++j) {
-        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j] + c_5 * p_5->p[j];
+        x[j] = c_0 * p_0->p[j] + c_1 * p_1->p[j] + c_2 * p_2->p[j] + c_3 * p_3->p[j] + c_4 * p_4->p[j]
+            + c_5 * p_5->p[j];
     }
 }
 
 /* x = S+ r from the normal equations. */
-static void skewed_thrusters_normal_apply(const skewed_thrusters_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void skewed_thrusters_normal_apply(const skewed_thrusters_normal *f, const double *B, const double *restrict r,
+    double *restrict x)
 {
     double w[6];
     int j;
     skewed_thrusters_normal_solve(f, r, w);
-    SKEWED_THRUSTERS_WRITTEN_OUT
+    SKEWED_THRUSTERS_UNROLL
     for (j = 0; j < 8; ++j) {
-        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32] + w[5] * B[j + 40];
+        x[j] = w[0] * B[j] + w[1] * B[j + 8] + w[2] * B[j + 16] + w[3] * B[j + 24] + w[4] * B[j + 32]
+            + w[5] * B[j + 40];
     }
 }
 
@@ -1075,7 +1174,8 @@ static void skewed_thrusters_apply(const skewed_thrusters_factors *f, const doub
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, double *S_pinv, skewed_thrusters_info *info)
+static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_pinv_core(const double *S, double *S_pinv,
+    skewed_thrusters_info *info)
 {
     skewed_thrusters_factors f;
     double unit[6], x[8], answer[48];
@@ -1088,7 +1188,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, do
         unit[i] = 0.0;
     }
     for (i = 0; i < 6; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == SKEWED_THRUSTERS_NO_EXPONENT;
         unit[i] = 1.0;
         skewed_thrusters_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1096,7 +1196,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, do
             answer[6 * j + i] = zero_row ? 0.0 : skewed_thrusters_shift(x[j], -f.exponent[i]);
         }
     }
-    if (skewed_thrusters_largest(answer, 48) >= UINT64_C(0x7ff0000000000000)) {
+    if (skewed_thrusters_largest(answer, 48) >= SKEWED_THRUSTERS_INFINITY_BITS) {
         return skewed_thrusters_refuse(SKEWED_THRUSTERS_OVERFLOW, info);
     }
     status = f.rank < 6 ? SKEWED_THRUSTERS_RANK_DEFICIENT_CONSISTENT : SKEWED_THRUSTERS_OK;
@@ -1114,7 +1214,7 @@ static SKEWED_THRUSTERS_APART int skewed_thrusters_pinv_core(const double *S, do
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void skewed_thrusters_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1125,10 +1225,11 @@ static void skewed_thrusters_copy(const double *from, double *to, int n)
 
 static int skewed_thrusters_finite(const double *x, int n)
 {
-    return skewed_thrusters_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return skewed_thrusters_largest(x, n) < SKEWED_THRUSTERS_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* SKEWED_THRUSTERS_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in
+   the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int skewed_thrusters_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1143,7 +1244,7 @@ static int skewed_thrusters_mass_status(const double *pivot, const double *scale
     return SKEWED_THRUSTERS_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int skewed_thrusters_input_finite(const skewed_thrusters_input *in)
 {
     return skewed_thrusters_finite(in->u, 6)
@@ -1153,17 +1254,8 @@ static int skewed_thrusters_input_finite(const skewed_thrusters_input *in)
            && skewed_thrusters_finite(in->rate_dot, 3);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define SKEWED_THRUSTERS_COLD __attribute__((noinline, cold))
-#define SKEWED_THRUSTERS_SMALL inline __attribute__((always_inline))
-#else
-#define SKEWED_THRUSTERS_COLD
-#define SKEWED_THRUSTERS_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static SKEWED_THRUSTERS_COLD int skewed_thrusters_reason(int status, const skewed_thrusters_input *in)
 {
     if (!skewed_thrusters_input_finite(in)) {
@@ -1172,9 +1264,11 @@ static SKEWED_THRUSTERS_COLD int skewed_thrusters_reason(int status, const skewe
     return status == SKEWED_THRUSTERS_NONFINITE ? SKEWED_THRUSTERS_OVERFLOW : status;
 }
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_psi(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *psi)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_psi(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *psi)
 {
     (void)model;
+    /* towards psi */
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
     const double t2 = in->u[2] - in->velocity[2];
@@ -1191,7 +1285,8 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_psi(const skewed_thrust
 }
 
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */
@@ -1246,8 +1341,10 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S(const skewed_thruster
 }
 
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *z)
 {
+    /* towards z */
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
     const double t2 = in->u[2] - in->velocity[2];
@@ -1297,8 +1394,10 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z(const skewed_thruster
 }
 
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S, double *z)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *S, double *z)
 {
+    /* towards z */
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
     const double t2 = in->u[2] - in->velocity[2];
@@ -1397,8 +1496,10 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_S_z(const skewed_thrust
 }
 
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *z, double *y)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *z, double *y)
 {
+    /* towards z */
     const double t0 = in->u[0] - in->velocity[0];
     const double t1 = in->u[1] - in->velocity[1];
     const double t2 = in->u[2] - in->velocity[2];
@@ -1457,7 +1558,8 @@ static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_z_y(const skewed_thrust
 }
 
 
-static SKEWED_THRUSTERS_SMALL void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
+static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model,
+    const skewed_thrusters_input *in, double *S)
 {
     (void)in;
     /* S = psi_u Q^-1 G, Eq. (8) */
@@ -1679,7 +1781,9 @@ int skewed_thrusters_psi(const skewed_thrusters_model *model, const skewed_thrus
 int skewed_thrusters_S(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *S)
 {
     double new_S[48];
-    if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3) && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3) && skewed_thrusters_finite(in->rate_dot, 3))) {
+    if (!(skewed_thrusters_finite(in->u, 6) && skewed_thrusters_finite(in->velocity, 3)
+            && skewed_thrusters_finite(in->velocity_dot, 3) && skewed_thrusters_finite(in->rate, 3)
+            && skewed_thrusters_finite(in->rate_dot, 3))) {
         return skewed_thrusters_reason(SKEWED_THRUSTERS_NONFINITE, in);
     }
     skewed_thrusters_eval_S(model, in, new_S);
@@ -1720,7 +1824,8 @@ const skewed_thrusters_params skewed_thrusters_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static SKEWED_THRUSTERS_COLD int skewed_thrusters_failed(int status, const skewed_thrusters_input *in, skewed_thrusters_info *info)
+static SKEWED_THRUSTERS_COLD int skewed_thrusters_failed(int status, const skewed_thrusters_input *in,
+    skewed_thrusters_info *info)
 {
     return skewed_thrusters_refuse(skewed_thrusters_reason(status, in), info);
 }
@@ -1730,14 +1835,16 @@ int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info
     return skewed_thrusters_pinv_core(S, S_pinv, info);
 }
 
-/* tau = y + S+ (z - S y) with S+ at hand; y may be NULL. */
-static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, const skewed_thrusters_info *known, const double *z, const double *y, double *tau, skewed_thrusters_info *info)
+/* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
+static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, const skewed_thrusters_info *known,
+    const double *z, const double *y, double *tau, skewed_thrusters_info *info)
 {
     double rest[6], found[8];
     double residual = 0.0;
     int status = known->status;
     int i, j;
-    if (skewed_thrusters_largest(z, 6) >= UINT64_C(0x7ff0000000000000) || (y != NULL && skewed_thrusters_largest(y, 8) >= UINT64_C(0x7ff0000000000000))) {
+    if (skewed_thrusters_largest(z, 6) >= SKEWED_THRUSTERS_INFINITY_BITS
+            || (y != NULL && skewed_thrusters_largest(y, 8) >= SKEWED_THRUSTERS_INFINITY_BITS)) {
         return skewed_thrusters_refuse(SKEWED_THRUSTERS_NONFINITE, info);
     }
     for (i = 0; i < 6; ++i) {
@@ -1755,7 +1862,7 @@ static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, c
             found[j] = y[j] + found[j];
         }
     }
-    if (skewed_thrusters_largest(found, 8) >= UINT64_C(0x7ff0000000000000)) {
+    if (skewed_thrusters_largest(found, 8) >= SKEWED_THRUSTERS_INFINITY_BITS) {
         return skewed_thrusters_refuse(SKEWED_THRUSTERS_OVERFLOW, info);
     }
     if (known->rank < 6 || info != NULL) {
@@ -1776,7 +1883,8 @@ static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, c
     return status;
 }
 
-int skewed_thrusters_control(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *tau, skewed_thrusters_info *info)
+int skewed_thrusters_control(const skewed_thrusters_model *model, const skewed_thrusters_input *in, double *tau,
+    skewed_thrusters_info *info)
 {
     double z[6], y[8];
     int status;

@@ -11,22 +11,58 @@
 #error "build spacecraft.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define SPACECRAFT_NOINLINE __attribute__((noinline))
+#define SPACECRAFT_COLD __attribute__((noinline, cold))
+#define SPACECRAFT_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define SPACECRAFT_NOINLINE
+#define SPACECRAFT_COLD
+#define SPACECRAFT_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define SPACECRAFT_FRACTION_BITS 52
+#define SPACECRAFT_EXPONENT_BIAS 1023
+#define SPACECRAFT_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define SPACECRAFT_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+#define SPACECRAFT_NO_EXPONENT (-16384) /* stands for the exponent of zero: below all others, and below sums of two */
+#define SPACECRAFT_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define SPACECRAFT_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define SPACECRAFT_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define SPACECRAFT_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of A, 1 x 3, row-major: one row s, s^T / (s s^T) ----
+   From here to the end of the solver A is called S, B is called z, tau' is called tau.
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define SPACECRAFT_CONSISTENCY 5.329070518200751e-15 /* a row whose relative residual is at most this is met */
+#define SPACECRAFT_SQUARE_LOW 1534 /* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define SPACECRAFT_TASK_LOW 511 /* lowest exponent of the task z - s y for the short form */
+#define SPACECRAFT_TASK_HIGH 1534 /* highest exponent of a step of refinement */
+#define SPACECRAFT_SPAN 1023 /* from either lowest to the highest: a power of two less one */
+#define SPACECRAFT_TAU_LOW 263 /* exponents of the square of tau that can be multiplied by s s^T */
+#define SPACECRAFT_TAU_HIGH 1783
+#define SPACECRAFT_NOISE 3.552713678800501e-15 /* 16 eps: rounding errors of y in the task, over the task */
+
+typedef union spacecraft_word {
     double value;
     uint64_t bits;
 } spacecraft_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t spacecraft_magnitude(double x)
 {
     spacecraft_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & SPACECRAFT_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t spacecraft_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +101,18 @@ static double spacecraft_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= SPACECRAFT_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < SPACECRAFT_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -SPACECRAFT_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> SPACECRAFT_FRACTION_BITS) - SPACECRAFT_EXPONENT_BIAS;
+    rest = (word.bits & (SPACECRAFT_SMALLEST_NORMAL - 1u)) | SPACECRAFT_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = SPACECRAFT_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,104 +120,90 @@ static double spacecraft_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + SPACECRAFT_EXPONENT_BIAS - 1) << SPACECRAFT_FRACTION_BITS);
     return word.value;
 }
 #endif
 
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define SPACECRAFT_COLD __attribute__((noinline, cold))
-#define SPACECRAFT_SMALL inline __attribute__((always_inline))
-#else
-#define SPACECRAFT_COLD
-#define SPACECRAFT_SMALL
-#endif
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define SPACECRAFT_APART __attribute__((noinline))
-#else
-#define SPACECRAFT_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from SPACECRAFT_EXPONENT_MIN to SPACECRAFT_EXPONENT_MAX, by writing its exponent. */
 static double spacecraft_power(int k)
 {
     spacecraft_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + SPACECRAFT_EXPONENT_BIAS) << SPACECRAFT_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double spacecraft_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= SPACECRAFT_EXPONENT_MIN && k <= SPACECRAFT_EXPONENT_MAX) {
         return x * spacecraft_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= spacecraft_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > SPACECRAFT_EXPONENT_MAX; ++step) {
+        x *= spacecraft_power(SPACECRAFT_EXPONENT_MAX);
+        k -= SPACECRAFT_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= spacecraft_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < SPACECRAFT_EXPONENT_MIN; ++step) {
+        x *= spacecraft_power(SPACECRAFT_EXPONENT_MIN + SPACECRAFT_FRACTION_BITS + 1);
+        k -= SPACECRAFT_EXPONENT_MIN + SPACECRAFT_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > SPACECRAFT_EXPONENT_MAX) {
+        k = SPACECRAFT_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < SPACECRAFT_EXPONENT_MIN) {
+        k = SPACECRAFT_EXPONENT_MIN;
     }
     return x * spacecraft_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; SPACECRAFT_NO_EXPONENT for zero. */
 static int spacecraft_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return SPACECRAFT_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < SPACECRAFT_SMALLEST_NORMAL) {
         spacecraft_word word;
         word.bits = magnitude;
-        magnitude = spacecraft_magnitude(word.value * spacecraft_power(64));
-        lift = 64;
+        magnitude = spacecraft_magnitude(word.value * spacecraft_power(SPACECRAFT_SUBNORMAL_LIFT));
+        lift = SPACECRAFT_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> SPACECRAFT_FRACTION_BITS) - SPACECRAFT_EXPONENT_BIAS - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t spacecraft_biased(double x)
 {
     spacecraft_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (SPACECRAFT_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t spacecraft_biased_square(double square)
 {
     spacecraft_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> SPACECRAFT_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int spacecraft_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int spacecraft_refuse(int status, spacecraft_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = SPACECRAFT_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -190,17 +212,19 @@ static int spacecraft_refuse(int status, spacecraft_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 5.33e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= SPACECRAFT_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int spacecraft_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int spacecraft_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = spacecraft_exponent(spacecraft_largest(tau, 3));
     double t[3], rest[1];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[1];
-    int top = -16384;
+    int top = SPACECRAFT_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -208,9 +232,9 @@ static int spacecraft_consistent(const double *S, const double *z, const double 
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : spacecraft_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == SPACECRAFT_NO_EXPONENT ? 0.0 : spacecraft_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != SPACECRAFT_NO_EXPONENT) {
             const double yj = spacecraft_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -220,17 +244,18 @@ static int spacecraft_consistent(const double *S, const double *z, const double 
         const double *const row = S + 3 * i;
         const int row_unit = spacecraft_exponent(spacecraft_largest(row, 3));
         const int z_unit = spacecraft_exponent(spacecraft_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == SPACECRAFT_NO_EXPONENT || tau_unit == SPACECRAFT_NO_EXPONENT
+            ? SPACECRAFT_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == SPACECRAFT_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != SPACECRAFT_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const double s = spacecraft_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -240,36 +265,38 @@ static int spacecraft_consistent(const double *S, const double *z, const double 
         }
         target = spacecraft_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 5.329070518200751e-15 * (scale * spacecraft_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = SPACECRAFT_CONSISTENCY
+            * (scale * spacecraft_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != SPACECRAFT_NO_EXPONENT) {
             rest[i] = spacecraft_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : spacecraft_shift(spacecraft_sqrt(norm), top);
+    *residual = top == SPACECRAFT_NO_EXPONENT ? 0.0 : spacecraft_shift(spacecraft_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct spacecraft_scaled_row {
     double s[3];
-    double square; /* s s^T */
+    double square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } spacecraft_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
 static int spacecraft_scale_row(const double *S, spacecraft_scaled_row *row)
 {
     spacecraft_word word;
     int j;
     word.bits = spacecraft_largest(S, 3);
-    if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (word.bits >= SPACECRAFT_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0;
@@ -281,7 +308,7 @@ static int spacecraft_scale_row(const double *S, spacecraft_scaled_row *row)
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
 static double spacecraft_over_square(const spacecraft_scaled_row *row, double a)
 {
     return a / row->square;
@@ -291,7 +318,9 @@ static void spacecraft_fill_info(const double *S, int status, int rank, double r
 {
     const uint64_t magnitude = spacecraft_largest(S, 3);
     const int unit = magnitude == 0 ? 0 : spacecraft_exponent(magnitude);
-    const double square = spacecraft_shift(S[0], -unit) * spacecraft_shift(S[0], -unit) + spacecraft_shift(S[1], -unit) * spacecraft_shift(S[1], -unit) + spacecraft_shift(S[2], -unit) * spacecraft_shift(S[2], -unit);
+    const double square = spacecraft_shift(S[0], -unit) * spacecraft_shift(S[0], -unit)
+        + spacecraft_shift(S[1], -unit) * spacecraft_shift(S[1], -unit)
+        + spacecraft_shift(S[2], -unit) * spacecraft_shift(S[2], -unit);
     info->status = status;
     info->path = SPACECRAFT_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -300,29 +329,35 @@ static void spacecraft_fill_info(const double *S, int status, int rank, double r
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
+/* tau = y + s^T rest / (s s^T) with rest = target - s y. Where rest is larger than target, y points along the row and
+   most of that part is taken away again. What is left is small, but carries the rounding errors of y, which is large;
+   it takes one refinement to remove them. (Exponents are compared, which is enough and quicker.) */
 static int spacecraft_cancels(double rest, double target)
 {
     return spacecraft_biased(rest) > spacecraft_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+/* Whether rest is so much larger than target (2^48 times) that the rounding errors of s y, up to 16 eps |rest|, may be
+   as large as the target itself. */
 static int spacecraft_drowned(double rest, double target)
 {
-    return spacecraft_biased(rest) >= spacecraft_biased(target) + 48;
+    return spacecraft_biased(rest) >= spacecraft_biased(target) + SPACECRAFT_FRACTION_BITS - 4;
 }
 
-/* Whether they may be all that tau is, too: then one more. */
+/* Whether tau, too, may be nothing but such errors: |s| |tau| is no larger than they are. Then a second refinement is
+   due, which shows whether it is. Written so that a NaN answers yes. */
 static int spacecraft_exhausted(double square, double tau_square, double rest)
 {
-    const double noise = rest * 3.552713678800501e-15;
+    const double noise = rest * SPACECRAFT_NOISE;
     return !(square * tau_square > noise * noise);
 }
 
-/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
+/* One refinement: what the answer leaves of the task is solved for and added, answer += s^T (target - s answer) / (s
+   s^T). answer is as it is, target in units of 2^(unit + row->unit). Returns the factor of s^T, in units of 2^unit. */
 static double spacecraft_refine_row(const spacecraft_scaled_row *row, double target, int unit, double *answer)
 {
-    const double rest = target - (row->s[0] * spacecraft_shift(answer[0], -unit) + row->s[1] * spacecraft_shift(answer[1], -unit) + row->s[2] * spacecraft_shift(answer[2], -unit));
+    const double rest = target - (row->s[0] * spacecraft_shift(answer[0], -unit)
+        + row->s[1] * spacecraft_shift(answer[1], -unit) + row->s[2] * spacecraft_shift(answer[2], -unit));
     const double scale = rest * (1.0 / row->square);
     int j;
     for (j = 0; j < 3; ++j) {
@@ -331,8 +366,11 @@ static double spacecraft_refine_row(const spacecraft_scaled_row *row, double tar
     return scale;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double *z, const double *y, double *tau,
+    spacecraft_info *info)
 {
     spacecraft_scaled_row row;
     double answer[3];
@@ -340,35 +378,39 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
     double rest, target, scale;
     double t_0, t_1, t_2;
     int refine, apart;
-    int unit = -16384;
+    int unit = SPACECRAFT_NO_EXPONENT;
     int status = SPACECRAFT_OK;
     int own, j;
-    if (!spacecraft_scale_row(S, &row) || spacecraft_magnitude(z[0]) >= UINT64_C(0x7ff0000000000000) ||
-        (y != NULL && spacecraft_largest(y, 3) >= UINT64_C(0x7ff0000000000000))) {
+    if (!spacecraft_scale_row(S, &row) || spacecraft_magnitude(z[0]) >= SPACECRAFT_INFINITY_BITS ||
+        (y != NULL && spacecraft_largest(y, 3) >= SPACECRAFT_INFINITY_BITS)) {
         return spacecraft_refuse(SPACECRAFT_NONFINITE, info);
     }
     if (y != NULL) {
         unit = spacecraft_exponent(spacecraft_largest(y, 3));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = spacecraft_exponent(spacecraft_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != SPACECRAFT_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == SPACECRAFT_NO_EXPONENT) {
         unit = 0;
     }
     target = spacecraft_shift(z[0], -unit - row.unit);
-    /* too small for the unit of y: what is z's is added in its own */
-    apart = row.rank && own != -16384 && spacecraft_biased(target) < 60;
+    /* beside a huge y, z would lose bits in the unit of y: then it is left out here, and its part of the answer is
+       added at the end, in a unit of its own */
+    apart = row.rank && own != SPACECRAFT_NO_EXPONENT && spacecraft_biased(target) < SPACECRAFT_FRACTION_BITS + 8;
     if (apart) {
         target = 0.0;
     }
     rest = target;
     if (y != NULL) {
-        rest -= row.s[0] * spacecraft_shift(y[0], -unit) + row.s[1] * spacecraft_shift(y[1], -unit) + row.s[2] * spacecraft_shift(y[2], -unit);
+        rest -= row.s[0] * spacecraft_shift(y[0], -unit) + row.s[1] * spacecraft_shift(y[1], -unit)
+            + row.s[2] * spacecraft_shift(y[2], -unit);
     }
     refine = y != NULL && row.rank && spacecraft_cancels(rest, target);
-    /* what is refined takes the reciprocal twice, as in the short form */
+    /* where a refinement follows, the reciprocal is taken once and used twice, as in the short form: for the same
+       bits */
     scale = refine ? rest * (1.0 / row.square) : row.rank ? spacecraft_over_square(&row, rest) : 0.0;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_shift(row.s[j] * scale, unit);
@@ -381,14 +423,16 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
         t_0 = spacecraft_shift(answer[0], -unit);
         t_1 = spacecraft_shift(answer[1], -unit);
         t_2 = spacecraft_shift(answer[2], -unit);
-        if (spacecraft_drowned(rest, target) && spacecraft_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
+        if (spacecraft_drowned(rest, target)
+                && spacecraft_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
             const double more = spacecraft_refine_row(&row, target, unit, answer);
             if (spacecraft_magnitude(spacecraft_shift(4.0 * more, unit)) > spacecraft_largest(answer, 3)) {
-                /* rounding errors twice over: nothing of y is left */
+                /* the second refinement still moved tau by a quarter of its size: what was left of y is rounding
+                   errors and nothing else, so it is dropped */
                 for (j = 0; j < 3; ++j) {
                     answer[j] = 0.0;
                 }
-                apart = own != -16384;
+                apart = own != SPACECRAFT_NO_EXPONENT;
             }
         }
     }
@@ -398,7 +442,7 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
             answer[j] += spacecraft_shift(row.s[j] * scale, own - row.unit);
         }
     }
-    if (spacecraft_largest(answer, 3) >= UINT64_C(0x7ff0000000000000)) {
+    if (spacecraft_largest(answer, 3) >= SPACECRAFT_INFINITY_BITS) {
         return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
@@ -416,6 +460,7 @@ static SPACECRAFT_COLD int spacecraft_solve_scaled(const double *S, const double
     return status;
 }
 
+/* S+ = s^T / (s s^T), scaled, where the short form does not apply. */
 static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pinv, spacecraft_info *info)
 {
     spacecraft_scaled_row row;
@@ -427,7 +472,7 @@ static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pin
     for (j = 0; j < 3; ++j) {
         answer[j] = row.rank ? spacecraft_shift(spacecraft_over_square(&row, row.s[j]), -row.unit) : 0.0;
     }
-    if (spacecraft_largest(answer, 3) >= UINT64_C(0x7ff0000000000000)) {
+    if (spacecraft_largest(answer, 3) >= SPACECRAFT_INFINITY_BITS) {
         return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
     }
     status = row.rank ? SPACECRAFT_OK : SPACECRAFT_RANK_DEFICIENT_CONSISTENT;
@@ -440,16 +485,19 @@ static SPACECRAFT_COLD int spacecraft_pinv_scaled(const double *S, double *S_pin
     return status;
 }
 
-/* At most 1023 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to SPACECRAFT_SPAN where it fits, more where it
+   is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN and infinity never fit.
+   The exponent is taken with one bit of the fraction, so that the range of squares has as many steps as that of tasks.
+   Both spans are then the same power of two less one, and the two answers, joined by |, need one comparison. */
 static uint64_t spacecraft_outside(double square)
 {
     spacecraft_word word;
     word.value = square;
-    word.bits >>= 51;
-    return word.bits - 1534;
+    word.bits >>= SPACECRAFT_FRACTION_BITS - 1;
+    return word.bits - SPACECRAFT_SQUARE_LOW;
 }
 
+/* Fills *info for the short form, which is taken at full rank only. */
 static SPACECRAFT_COLD int spacecraft_short_info(double square, double residual, spacecraft_info *info)
 {
     info->status = SPACECRAFT_OK;
@@ -461,17 +509,21 @@ static SPACECRAFT_COLD int spacecraft_short_info(double square, double residual,
     return SPACECRAFT_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static SPACECRAFT_COLD int spacecraft_solve_values(double s_0, double s_1, double s_2, double target, double *tau, spacecraft_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static SPACECRAFT_COLD int spacecraft_solve_values(double s_0, double s_1, double s_2, double target, double *tau,
+    spacecraft_info *info)
 {
     const double S[3] = {s_0, s_1, s_2};
     return spacecraft_solve_scaled(S, &target, NULL, tau, info);
 }
 
-/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
-static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info, double square, double rest)
+/* tau = y + s^T rest / (s s^T), rest = target - s y, and one refinement, where y cancels and leaves its rounding
+   errors. What does not fit its ranges, or needs a second refinement, goes to the scaled form. */
+static SPACECRAFT_NOINLINE int spacecraft_solve_refined(const double *S, const double *z, const double *y, double *tau,
+    spacecraft_info *info, double square, double rest)
 {
-    if ((spacecraft_outside(square) | (spacecraft_biased(rest) - 511)) <= 1023) {
+    if ((spacecraft_outside(square) | (spacecraft_biased(rest) - SPACECRAFT_TASK_LOW)) <= SPACECRAFT_SPAN) {
         const double s_0 = S[0];
         const double s_1 = S[1];
         const double s_2 = S[2];
@@ -487,10 +539,11 @@ static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const doub
         t_1 += s_1 * more;
         t_2 += s_2 * more;
         tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
-        /* a larger step could carry tau out of range */
-        if (spacecraft_biased(more) <= 1534 &&
+        /* a larger step could carry tau out of the range of the type */
+        if (spacecraft_biased(more) <= SPACECRAFT_TASK_HIGH &&
             (!spacecraft_drowned(rest, target) ||
-             (spacecraft_within(spacecraft_biased_square(tau_square), 263, 1783) && !spacecraft_exhausted(square, tau_square, rest)))) {
+             (spacecraft_within(spacecraft_biased_square(tau_square), SPACECRAFT_TAU_LOW, SPACECRAFT_TAU_HIGH)
+                 && !spacecraft_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             tau[2] = t_2;
@@ -503,7 +556,8 @@ static SPACECRAFT_APART int spacecraft_solve_refined(const double *S, const doub
     return spacecraft_solve_scaled(S, z, y, tau, info);
 }
 
-static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double *z, const double *y, double *tau, spacecraft_info *info)
+static SPACECRAFT_ALWAYS_INLINE int spacecraft_solve_core(const double *S, const double *z, const double *y,
+    double *tau, spacecraft_info *info)
 {
     const double s_0 = S[0];
     const double s_1 = S[1];
@@ -516,8 +570,10 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
         const double y_2 = y[2];
         const double rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
         const uint64_t size = spacecraft_biased(rest);
-        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
-        if ((spacecraft_outside(square) | (size - 511) | (spacecraft_biased(target) - size)) > 1023) {
+        /* each of the three differences is unsigned: what is out of its range, and a rest larger than the target, for
+           which y cancels, sets bits above those of the span */
+        if ((spacecraft_outside(square) | (size - SPACECRAFT_TASK_LOW) | (spacecraft_biased(target) - size))
+                > SPACECRAFT_SPAN) {
             return spacecraft_solve_refined(S, z, y, tau, info, square, rest);
         }
         const double scale = rest / square;
@@ -532,7 +588,7 @@ static SPACECRAFT_SMALL int spacecraft_solve_core(const double *S, const double 
         }
         return SPACECRAFT_OK;
     }
-    if ((spacecraft_outside(square) | (spacecraft_biased(target) - 511)) <= 1023) {
+    if ((spacecraft_outside(square) | (spacecraft_biased(target) - SPACECRAFT_TASK_LOW)) <= SPACECRAFT_SPAN) {
         const double scale = target / square;
         const double t_0 = s_0 * scale;
         const double t_1 = s_1 * scale;
@@ -552,7 +608,7 @@ static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info
 {
     const double square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_outside(square) <= 1023) {
+    if (spacecraft_outside(square) <= SPACECRAFT_SPAN) {
         if (info != NULL) {
             (void)spacecraft_short_info(square, 0.0, info);
         }
@@ -564,7 +620,7 @@ static int spacecraft_pinv_core(const double *S, double *S_pinv, spacecraft_info
     return spacecraft_pinv_scaled(S, S_pinv, info);
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void spacecraft_copy(const double *from, double *to, int n)
 {
     int k;
@@ -575,17 +631,18 @@ static void spacecraft_copy(const double *from, double *to, int n)
 
 static int spacecraft_finite(const double *x, int n)
 {
-    return spacecraft_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return spacecraft_largest(x, n) < SPACECRAFT_INFINITY_BITS;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int spacecraft_input_finite(const spacecraft_input *in)
 {
     return spacecraft_finite(in->u, 3)
            && spacecraft_finite(in->tau, 3);
 }
 
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static SPACECRAFT_COLD int spacecraft_reason(int status, const spacecraft_input *in)
 {
     if (!spacecraft_input_finite(in)) {
@@ -594,8 +651,10 @@ static SPACECRAFT_COLD int spacecraft_reason(int status, const spacecraft_input 
     return status == SPACECRAFT_NONFINITE ? SPACECRAFT_OVERFLOW : status;
 }
 
-static SPACECRAFT_SMALL void spacecraft_eval_phi(const spacecraft_model *model, const spacecraft_input *in, double *phi)
+static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_phi(const spacecraft_model *model, const spacecraft_input *in,
+    double *phi)
 {
+    /* towards phi */
     const double t0 = model->I_1 * in->tau[0];
     const double t1 = model->I_1 * in->u[0];
     const double t2 = model->a * t1;
@@ -621,8 +680,10 @@ static SPACECRAFT_SMALL void spacecraft_eval_phi(const spacecraft_model *model, 
 }
 
 
-static SPACECRAFT_SMALL void spacecraft_eval_A(const spacecraft_model *model, const spacecraft_input *in, double *A)
+static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A(const spacecraft_model *model, const spacecraft_input *in,
+    double *A)
 {
+    /* towards A */
     const double t0 = model->I_1 * in->u[0];
     const double t1 = model->I_2 * in->u[1];
     const double t2 = model->I_3 * in->u[2];
@@ -633,8 +694,10 @@ static SPACECRAFT_SMALL void spacecraft_eval_A(const spacecraft_model *model, co
 }
 
 
-static SPACECRAFT_SMALL void spacecraft_eval_B(const spacecraft_model *model, const spacecraft_input *in, double *B)
+static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_B(const spacecraft_model *model, const spacecraft_input *in,
+    double *B)
 {
+    /* towards B */
     const double t0 = model->I_1 * in->tau[0];
     const double t1 = model->I_1 * in->u[0];
     const double t2 = model->a * t1;
@@ -666,16 +729,24 @@ static SPACECRAFT_SMALL void spacecraft_eval_B(const spacecraft_model *model, co
 }
 
 
-static SPACECRAFT_SMALL void spacecraft_eval_A_B(const spacecraft_model *model, const spacecraft_input *in, double *A, double *B)
+static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A_B(const spacecraft_model *model, const spacecraft_input *in,
+    double *A, double *B)
 {
+    /* towards B */
     const double t0 = model->I_1 * in->tau[0];
+    /* towards A, B */
     const double t1 = model->I_1 * in->u[0];
+    /* towards B */
     const double t2 = model->a * t1;
     const double t3 = model->I_2 * in->tau[1];
+    /* towards A, B */
     const double t4 = model->I_2 * in->u[1];
+    /* towards B */
     const double t5 = model->a * t4;
     const double t6 = model->I_3 * in->tau[2];
+    /* towards A, B */
     const double t7 = model->I_3 * in->u[2];
+    /* towards B */
     const double t8 = model->a * t7;
     const double t9 = model->c0 * in->u[0];
     const double t10 = in->u[1] * t9;
@@ -703,22 +774,30 @@ static SPACECRAFT_SMALL void spacecraft_eval_A_B(const spacecraft_model *model, 
 }
 
 
-static SPACECRAFT_SMALL void spacecraft_eval_phi_A(const spacecraft_model *model, const spacecraft_input *in, double *phi, double *A)
+static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_phi_A(const spacecraft_model *model, const spacecraft_input *in,
+    double *phi, double *A)
 {
+    /* towards phi */
     const double t0 = model->I_1 * in->tau[0];
+    /* towards phi, A */
     const double t1 = model->I_1 * in->u[0];
+    /* towards phi */
     const double t2 = model->a * t1;
     const double t3 = t2 * 0.5;
     const double t4 = t0 + t3;
     const double t5 = in->u[0] * t4;
     const double t6 = model->I_2 * in->tau[1];
+    /* towards phi, A */
     const double t7 = model->I_2 * in->u[1];
+    /* towards phi */
     const double t8 = model->a * t7;
     const double t9 = 0.5 * t8;
     const double t10 = t6 + t9;
     const double t11 = in->u[1] * t10;
     const double t12 = model->I_3 * in->tau[2];
+    /* towards phi, A */
     const double t13 = model->I_3 * in->u[2];
+    /* towards phi */
     const double t14 = model->a * t13;
     const double t15 = 0.5 * t14;
     const double t16 = t12 + t15;
@@ -733,7 +812,7 @@ static SPACECRAFT_SMALL void spacecraft_eval_phi_A(const spacecraft_model *model
     A[2] = t13;
 }
 
-/* The same behind its checks: SPACECRAFT_OK, or a negative status. */
+/* The same with its checks: returns SPACECRAFT_OK with finite results, or a negative status. */
 static int spacecraft_checked_phi_A(const spacecraft_model *model, const spacecraft_input *in, double *phi, double *A)
 {
     spacecraft_eval_phi_A(model, in, phi, A);
@@ -862,7 +941,8 @@ int spacecraft_pinv(const double *A, double *A_pinv, spacecraft_info *info)
     return spacecraft_pinv_core(A, A_pinv, info);
 }
 
-int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in, double *tau_dot, spacecraft_info *info)
+int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in, double *tau_dot,
+    spacecraft_info *info)
 {
     double A[3], B[1];
     int status;
@@ -875,11 +955,12 @@ int spacecraft_control(const spacecraft_model *model, const spacecraft_input *in
     return status;
 }
 
-/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes
+   another. */
 int spacecraft_project(const spacecraft_model *model, const spacecraft_input *in, double *tau, spacecraft_info *info)
 {
     spacecraft_input at = *in;
-    const uint64_t from = spacecraft_largest(in->tau, 3) >> 52;
+    const uint64_t from = spacecraft_largest(in->tau, 3) >> SPACECRAFT_FRACTION_BITS;
     double now[3], move[3], phi[1], A[3];
     int status = SPACECRAFT_OK;
     int step, i, j;
@@ -901,10 +982,10 @@ int spacecraft_project(const spacecraft_model *model, const spacecraft_input *in
             now[j] += move[j];
         }
         size = spacecraft_largest(now, 3);
-        if (size >= UINT64_C(0x7ff0000000000000)) {
+        if (size >= SPACECRAFT_INFINITY_BITS) {
             return spacecraft_refuse(SPACECRAFT_OVERFLOW, info);
         }
-        if (from <= (size >> 52) + 3) { /* nothing was cancelled */
+        if (from <= (size >> SPACECRAFT_FRACTION_BITS) + 3) { /* nothing was cancelled */
             break;
         }
         spacecraft_copy(now, at.tau, 3);
@@ -913,7 +994,8 @@ int spacecraft_project(const spacecraft_model *model, const spacecraft_input *in
     return status;
 }
 
-int spacecraft_step(const spacecraft_model *model, const spacecraft_input *in, double dt, double *tau, spacecraft_info *info)
+int spacecraft_step(const spacecraft_model *model, const spacecraft_input *in, double dt, double *tau,
+    spacecraft_info *info)
 {
     spacecraft_input at = *in;
     double tau_dot[3];

@@ -11,22 +11,60 @@
 #error "build spacecraft_smooth_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 1 x 3, row-major: one row, S+ = s^T / (s s^T) ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define SPACECRAFT_SMOOTH_F32_NOINLINE __attribute__((noinline))
+#define SPACECRAFT_SMOOTH_F32_COLD __attribute__((noinline, cold))
+#define SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define SPACECRAFT_SMOOTH_F32_NOINLINE
+#define SPACECRAFT_SMOOTH_F32_COLD
+#define SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define SPACECRAFT_SMOOTH_F32_FRACTION_BITS 23
+#define SPACECRAFT_SMOOTH_F32_EXPONENT_BIAS 127
+#define SPACECRAFT_SMOOTH_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define SPACECRAFT_SMOOTH_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define SPACECRAFT_SMOOTH_F32_NO_EXPONENT (-16384)
+#define SPACECRAFT_SMOOTH_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define SPACECRAFT_SMOOTH_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define SPACECRAFT_SMOOTH_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of A, 1 x 3, row-major: one row s, s^T / (s s^T) ----
+   From here to the end of the solver A is called S, B is called z, tau' is called tau.
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define SPACECRAFT_SMOOTH_F32_CONSISTENCY 0.000002861023f /* a row whose relative residual is at most this is met */
+/* lowest exponent of s s^T for the short form, in halves: twice the exponent */
+#define SPACECRAFT_SMOOTH_F32_SQUARE_LOW 190
+#define SPACECRAFT_SMOOTH_F32_TASK_LOW 63 /* lowest exponent of the task z - s y for the short form */
+#define SPACECRAFT_SMOOTH_F32_TASK_HIGH 190 /* highest exponent of a step of refinement */
+#define SPACECRAFT_SMOOTH_F32_SPAN 127 /* from either lowest to the highest: a power of two less one */
+#define SPACECRAFT_SMOOTH_F32_TAU_LOW 37 /* exponents of the square of tau that can be multiplied by s s^T */
+#define SPACECRAFT_SMOOTH_F32_TAU_HIGH 217
+#define SPACECRAFT_SMOOTH_F32_NOISE 1.9073486e-6f /* 16 eps: rounding errors of y in the task, over the task */
+
+typedef union spacecraft_smooth_f32_word {
     float value;
     uint32_t bits;
 } spacecraft_smooth_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t spacecraft_smooth_f32_magnitude(float x)
 {
     spacecraft_smooth_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & SPACECRAFT_SMOOTH_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t spacecraft_smooth_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +103,18 @@ static float spacecraft_smooth_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -SPACECRAFT_SMOOTH_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> SPACECRAFT_SMOOTH_F32_FRACTION_BITS) - SPACECRAFT_SMOOTH_F32_EXPONENT_BIAS;
+    rest = (word.bits & (SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL - 1u)) | SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,104 +122,94 @@ static float spacecraft_smooth_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + SPACECRAFT_SMOOTH_F32_EXPONENT_BIAS - 1) << SPACECRAFT_SMOOTH_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
 
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define SPACECRAFT_SMOOTH_F32_COLD __attribute__((noinline, cold))
-#define SPACECRAFT_SMOOTH_F32_SMALL inline __attribute__((always_inline))
-#else
-#define SPACECRAFT_SMOOTH_F32_COLD
-#define SPACECRAFT_SMOOTH_F32_SMALL
-#endif
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define SPACECRAFT_SMOOTH_F32_APART __attribute__((noinline))
-#else
-#define SPACECRAFT_SMOOTH_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from SPACECRAFT_SMOOTH_F32_EXPONENT_MIN to SPACECRAFT_SMOOTH_F32_EXPONENT_MAX, by writing its
+   exponent. */
 static float spacecraft_smooth_f32_power(int k)
 {
     spacecraft_smooth_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + SPACECRAFT_SMOOTH_F32_EXPONENT_BIAS) << SPACECRAFT_SMOOTH_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float spacecraft_smooth_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= SPACECRAFT_SMOOTH_F32_EXPONENT_MIN && k <= SPACECRAFT_SMOOTH_F32_EXPONENT_MAX) {
         return x * spacecraft_smooth_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= spacecraft_smooth_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > SPACECRAFT_SMOOTH_F32_EXPONENT_MAX; ++step) {
+        x *= spacecraft_smooth_f32_power(SPACECRAFT_SMOOTH_F32_EXPONENT_MAX);
+        k -= SPACECRAFT_SMOOTH_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= spacecraft_smooth_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < SPACECRAFT_SMOOTH_F32_EXPONENT_MIN; ++step) {
+        x *= spacecraft_smooth_f32_power(SPACECRAFT_SMOOTH_F32_EXPONENT_MIN + SPACECRAFT_SMOOTH_F32_FRACTION_BITS + 1);
+        k -= SPACECRAFT_SMOOTH_F32_EXPONENT_MIN + SPACECRAFT_SMOOTH_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > SPACECRAFT_SMOOTH_F32_EXPONENT_MAX) {
+        k = SPACECRAFT_SMOOTH_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < SPACECRAFT_SMOOTH_F32_EXPONENT_MIN) {
+        k = SPACECRAFT_SMOOTH_F32_EXPONENT_MIN;
     }
     return x * spacecraft_smooth_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; SPACECRAFT_SMOOTH_F32_NO_EXPONENT for
+   zero. */
 static int spacecraft_smooth_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return SPACECRAFT_SMOOTH_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < SPACECRAFT_SMOOTH_F32_SMALLEST_NORMAL) {
         spacecraft_smooth_f32_word word;
         word.bits = magnitude;
-        magnitude = spacecraft_smooth_f32_magnitude(word.value * spacecraft_smooth_f32_power(32));
-        lift = 32;
+        magnitude = spacecraft_smooth_f32_magnitude(word.value
+            * spacecraft_smooth_f32_power(SPACECRAFT_SMOOTH_F32_SUBNORMAL_LIFT));
+        lift = SPACECRAFT_SMOOTH_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> SPACECRAFT_SMOOTH_F32_FRACTION_BITS) - SPACECRAFT_SMOOTH_F32_EXPONENT_BIAS - lift;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t spacecraft_smooth_f32_biased(float x)
 {
     spacecraft_smooth_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (SPACECRAFT_SMOOTH_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t spacecraft_smooth_f32_biased_square(float square)
 {
     spacecraft_smooth_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> SPACECRAFT_SMOOTH_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int spacecraft_smooth_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int spacecraft_smooth_f32_refuse(int status, spacecraft_smooth_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = SPACECRAFT_SMOOTH_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -190,17 +218,19 @@ static int spacecraft_smooth_f32_refuse(int status, spacecraft_smooth_f32_info *
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 2.86e-06 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= SPACECRAFT_SMOOTH_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int spacecraft_smooth_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int spacecraft_smooth_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = spacecraft_smooth_f32_exponent(spacecraft_smooth_f32_largest(tau, 3));
     float t[3], rest[1];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[1];
-    int top = -16384;
+    int top = SPACECRAFT_SMOOTH_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -208,9 +238,9 @@ static int spacecraft_smooth_f32_consistent(const float *S, const float *z, cons
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 3; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : spacecraft_smooth_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == SPACECRAFT_SMOOTH_F32_NO_EXPONENT ? 0.0f : spacecraft_smooth_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != SPACECRAFT_SMOOTH_F32_NO_EXPONENT) {
             const float yj = spacecraft_smooth_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -220,17 +250,18 @@ static int spacecraft_smooth_f32_consistent(const float *S, const float *z, cons
         const float *const row = S + 3 * i;
         const int row_unit = spacecraft_smooth_f32_exponent(spacecraft_smooth_f32_largest(row, 3));
         const int z_unit = spacecraft_smooth_f32_exponent(spacecraft_smooth_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == SPACECRAFT_SMOOTH_F32_NO_EXPONENT
+            || tau_unit == SPACECRAFT_SMOOTH_F32_NO_EXPONENT ? SPACECRAFT_SMOOTH_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == SPACECRAFT_SMOOTH_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != SPACECRAFT_SMOOTH_F32_NO_EXPONENT) {
             for (j = 0; j < 3; ++j) {
                 const float s = spacecraft_smooth_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -240,36 +271,39 @@ static int spacecraft_smooth_f32_consistent(const float *S, const float *z, cons
         }
         target = spacecraft_smooth_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 0.000002861023f * (scale * spacecraft_smooth_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = SPACECRAFT_SMOOTH_F32_CONSISTENCY
+            * (scale * spacecraft_smooth_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 1; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != SPACECRAFT_SMOOTH_F32_NO_EXPONENT) {
             rest[i] = spacecraft_smooth_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : spacecraft_smooth_f32_shift(spacecraft_smooth_f32_sqrt(norm), top);
+    *residual = top == SPACECRAFT_SMOOTH_F32_NO_EXPONENT
+        ? 0.0f : spacecraft_smooth_f32_shift(spacecraft_smooth_f32_sqrt(norm), top);
     return met;
 }
 
-/* Row s in units of 2^unit, its largest entry in [1, 2); all zero if it counts as zero. */
-typedef struct {
+/* The row, scaled: s times 2^unit is the row given, and its largest entry is in [1, 2), so that its square can neither
+   overflow nor vanish. rank is 0 where the row counts as zero; then s is zero. */
+typedef struct spacecraft_smooth_f32_scaled_row {
     float s[3];
-    float square; /* s s^T */
+    float square; /* s s^T, and its root is sigma, the one singular value */
     int unit;
     int rank;
 } spacecraft_smooth_f32_scaled_row;
 
-/* Returns 0 if an entry is not finite. */
+/* Scales the row S. Returns 0 if an entry is not finite, and then *row is not filled. */
 static int spacecraft_smooth_f32_scale_row(const float *S, spacecraft_smooth_f32_scaled_row *row)
 {
     spacecraft_smooth_f32_word word;
     int j;
     word.bits = spacecraft_smooth_f32_largest(S, 3);
-    if (word.bits >= UINT32_C(0x7f800000)) {
+    if (word.bits >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS) {
         return 0;
     }
     row->rank = word.value > 0.0f;
@@ -281,17 +315,20 @@ static int spacecraft_smooth_f32_scale_row(const float *S, spacecraft_smooth_f32
     return 1;
 }
 
-/* a / (s s^T), or its damped form. */
+/* a / (s s^T), the factor of s^T in the answer for a task a; where the row is damped, what takes its place. */
 static float spacecraft_smooth_f32_over_square(const spacecraft_smooth_f32_scaled_row *row, float a)
 {
     return a / row->square;
 }
 
-static void spacecraft_smooth_f32_fill_info(const float *S, int status, int rank, float residual, spacecraft_smooth_f32_info *info)
+static void spacecraft_smooth_f32_fill_info(const float *S, int status, int rank, float residual,
+    spacecraft_smooth_f32_info *info)
 {
     const uint32_t magnitude = spacecraft_smooth_f32_largest(S, 3);
     const int unit = magnitude == 0 ? 0 : spacecraft_smooth_f32_exponent(magnitude);
-    const float square = spacecraft_smooth_f32_shift(S[0], -unit) * spacecraft_smooth_f32_shift(S[0], -unit) + spacecraft_smooth_f32_shift(S[1], -unit) * spacecraft_smooth_f32_shift(S[1], -unit) + spacecraft_smooth_f32_shift(S[2], -unit) * spacecraft_smooth_f32_shift(S[2], -unit);
+    const float square = spacecraft_smooth_f32_shift(S[0], -unit) * spacecraft_smooth_f32_shift(S[0], -unit)
+        + spacecraft_smooth_f32_shift(S[1], -unit) * spacecraft_smooth_f32_shift(S[1], -unit)
+        + spacecraft_smooth_f32_shift(S[2], -unit) * spacecraft_smooth_f32_shift(S[2], -unit);
     info->status = status;
     info->path = SPACECRAFT_SMOOTH_F32_PATH_CLOSED_FORM;
     info->rank = rank;
@@ -300,29 +337,38 @@ static void spacecraft_smooth_f32_fill_info(const float *S, int status, int rank
     info->residual = residual;
 }
 
-/* Whether tau may come out much smaller than y, with y's rounding errors: then one refinement is due. */
+/* tau = y + s^T rest / (s s^T) with rest = target - s y. Where rest is larger than target, y points along the row and
+   most of that part is taken away again. What is left is small, but carries the rounding errors of y, which is large;
+   it takes one refinement to remove them. (Exponents are compared, which is enough and quicker.) */
 static int spacecraft_smooth_f32_cancels(float rest, float target)
 {
     return spacecraft_smooth_f32_biased(rest) > spacecraft_smooth_f32_biased(target);
 }
 
-/* Whether rounding errors of y, up to 16 u |rest|, may be all that the task is. */
+/* Whether rest is so much larger than target (2^19 times) that the rounding errors of s y, up to 16 eps |rest|, may be
+   as large as the target itself. */
 static int spacecraft_smooth_f32_drowned(float rest, float target)
 {
-    return spacecraft_smooth_f32_biased(rest) >= spacecraft_smooth_f32_biased(target) + 19;
+    return spacecraft_smooth_f32_biased(rest)
+        >= spacecraft_smooth_f32_biased(target) + SPACECRAFT_SMOOTH_F32_FRACTION_BITS - 4;
 }
 
-/* Whether they may be all that tau is, too: then one more. */
+/* Whether tau, too, may be nothing but such errors: |s| |tau| is no larger than they are. Then a second refinement is
+   due, which shows whether it is. Written so that a NaN answers yes. */
 static int spacecraft_smooth_f32_exhausted(float square, float tau_square, float rest)
 {
-    const float noise = rest * 1.9073486e-6f;
+    const float noise = rest * SPACECRAFT_SMOOTH_F32_NOISE;
     return !(square * tau_square > noise * noise);
 }
 
-/* answer += s^T (target - s answer) / (s s^T), target in units of 2^(unit + row->unit); returns the factor of s^T. */
-static float spacecraft_smooth_f32_refine_row(const spacecraft_smooth_f32_scaled_row *row, float target, int unit, float *answer)
+/* One refinement: what the answer leaves of the task is solved for and added, answer += s^T (target - s answer) / (s
+   s^T). answer is as it is, target in units of 2^(unit + row->unit). Returns the factor of s^T, in units of 2^unit. */
+static float spacecraft_smooth_f32_refine_row(const spacecraft_smooth_f32_scaled_row *row, float target, int unit,
+    float *answer)
 {
-    const float rest = target - (row->s[0] * spacecraft_smooth_f32_shift(answer[0], -unit) + row->s[1] * spacecraft_smooth_f32_shift(answer[1], -unit) + row->s[2] * spacecraft_smooth_f32_shift(answer[2], -unit));
+    const float rest = target - (row->s[0] * spacecraft_smooth_f32_shift(answer[0], -unit)
+        + row->s[1] * spacecraft_smooth_f32_shift(answer[1], -unit)
+        + row->s[2] * spacecraft_smooth_f32_shift(answer[2], -unit));
     const float scale = rest * (1.0f / row->square);
     int j;
     for (j = 0; j < 3; ++j) {
@@ -331,8 +377,11 @@ static float spacecraft_smooth_f32_refine_row(const spacecraft_smooth_f32_scaled
     return scale;
 }
 
-/* tau = y + s^T (z - s y) / (s s^T), scaled so that nothing overflows or vanishes on the way. */
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
+/* tau = y + s^T (z - s y) / (s s^T) with everything scaled by powers of two, which is exact, so that nothing overflows
+   or vanishes on the way. The short form below sends here whatever does not fit its ranges: rows that count as zero,
+   NaN and infinity, numbers near the ends of the type, damping. Where both forms apply they give the same bits. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const float *S, const float *z,
+    const float *y, float *tau, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_scaled_row row;
     float answer[3];
@@ -340,35 +389,42 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const f
     float rest, target, scale;
     float t_0, t_1, t_2;
     int refine, apart;
-    int unit = -16384;
+    int unit = SPACECRAFT_SMOOTH_F32_NO_EXPONENT;
     int status = SPACECRAFT_SMOOTH_F32_OK;
     int own, j;
-    if (!spacecraft_smooth_f32_scale_row(S, &row) || spacecraft_smooth_f32_magnitude(z[0]) >= UINT32_C(0x7f800000) ||
-        (y != NULL && spacecraft_smooth_f32_largest(y, 3) >= UINT32_C(0x7f800000))) {
+    if (!spacecraft_smooth_f32_scale_row(S, &row)
+            || spacecraft_smooth_f32_magnitude(z[0]) >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS ||
+        (y != NULL && spacecraft_smooth_f32_largest(y, 3) >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS)) {
         return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_NONFINITE, info);
     }
     if (y != NULL) {
         unit = spacecraft_smooth_f32_exponent(spacecraft_smooth_f32_largest(y, 3));
     }
+    /* one unit for y, and for z over the row: the larger of the two */
     own = spacecraft_smooth_f32_exponent(spacecraft_smooth_f32_magnitude(z[0]));
-    if (own != -16384 && own - row.unit > unit) {
+    if (own != SPACECRAFT_SMOOTH_F32_NO_EXPONENT && own - row.unit > unit) {
         unit = own - row.unit;
     }
-    if (unit == -16384) {
+    if (unit == SPACECRAFT_SMOOTH_F32_NO_EXPONENT) {
         unit = 0;
     }
     target = spacecraft_smooth_f32_shift(z[0], -unit - row.unit);
-    /* too small for the unit of y: what is z's is added in its own */
-    apart = row.rank && own != -16384 && spacecraft_smooth_f32_biased(target) < 31;
+    /* beside a huge y, z would lose bits in the unit of y: then it is left out here, and its part of the answer is
+       added at the end, in a unit of its own */
+    apart = row.rank && own != SPACECRAFT_SMOOTH_F32_NO_EXPONENT
+        && spacecraft_smooth_f32_biased(target) < SPACECRAFT_SMOOTH_F32_FRACTION_BITS + 8;
     if (apart) {
         target = 0.0f;
     }
     rest = target;
     if (y != NULL) {
-        rest -= row.s[0] * spacecraft_smooth_f32_shift(y[0], -unit) + row.s[1] * spacecraft_smooth_f32_shift(y[1], -unit) + row.s[2] * spacecraft_smooth_f32_shift(y[2], -unit);
+        rest -= row.s[0] * spacecraft_smooth_f32_shift(y[0], -unit)
+            + row.s[1] * spacecraft_smooth_f32_shift(y[1], -unit)
+            + row.s[2] * spacecraft_smooth_f32_shift(y[2], -unit);
     }
     refine = y != NULL && row.rank && spacecraft_smooth_f32_cancels(rest, target);
-    /* what is refined takes the reciprocal twice, as in the short form */
+    /* where a refinement follows, the reciprocal is taken once and used twice, as in the short form: for the same
+       bits */
     scale = refine ? rest * (1.0f / row.square) : row.rank ? spacecraft_smooth_f32_over_square(&row, rest) : 0.0f;
     for (j = 0; j < 3; ++j) {
         answer[j] = spacecraft_smooth_f32_shift(row.s[j] * scale, unit);
@@ -381,14 +437,17 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const f
         t_0 = spacecraft_smooth_f32_shift(answer[0], -unit);
         t_1 = spacecraft_smooth_f32_shift(answer[1], -unit);
         t_2 = spacecraft_smooth_f32_shift(answer[2], -unit);
-        if (spacecraft_smooth_f32_drowned(rest, target) && spacecraft_smooth_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
+        if (spacecraft_smooth_f32_drowned(rest, target)
+                && spacecraft_smooth_f32_exhausted(row.square, t_0 * t_0 + t_1 * t_1 + t_2 * t_2, rest)) {
             const float more = spacecraft_smooth_f32_refine_row(&row, target, unit, answer);
-            if (spacecraft_smooth_f32_magnitude(spacecraft_smooth_f32_shift(4.0f * more, unit)) > spacecraft_smooth_f32_largest(answer, 3)) {
-                /* rounding errors twice over: nothing of y is left */
+            if (spacecraft_smooth_f32_magnitude(spacecraft_smooth_f32_shift(4.0f * more, unit))
+                    > spacecraft_smooth_f32_largest(answer, 3)) {
+                /* the second refinement still moved tau by a quarter of its size: what was left of y is rounding
+                   errors and nothing else, so it is dropped */
                 for (j = 0; j < 3; ++j) {
                     answer[j] = 0.0f;
                 }
-                apart = own != -16384;
+                apart = own != SPACECRAFT_SMOOTH_F32_NO_EXPONENT;
             }
         }
     }
@@ -398,13 +457,14 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const f
             answer[j] += spacecraft_smooth_f32_shift(row.s[j] * scale, own - row.unit);
         }
     }
-    if (spacecraft_smooth_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {
+    if (spacecraft_smooth_f32_largest(answer, 3) >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS) {
         return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_OVERFLOW, info);
     }
     if (!row.rank || info != NULL) {
         const int met = spacecraft_smooth_f32_consistent(S, z, y, answer, &residual);
         if (!row.rank) {
-            status = met ? SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_CONSISTENT : SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_INCONSISTENT;
+            status = met ? SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_CONSISTENT
+                : SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     }
     if (info != NULL) {
@@ -416,7 +476,9 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_scaled(const f
     return status;
 }
 
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv, spacecraft_smooth_f32_info *info)
+/* S+ = s^T / (s s^T), scaled, where the short form does not apply. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const float *S, float *S_pinv,
+    spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_scaled_row row;
     float answer[3];
@@ -425,9 +487,10 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const fl
         return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_NONFINITE, info);
     }
     for (j = 0; j < 3; ++j) {
-        answer[j] = row.rank ? spacecraft_smooth_f32_shift(spacecraft_smooth_f32_over_square(&row, row.s[j]), -row.unit) : 0.0f;
+        answer[j] = row.rank ? spacecraft_smooth_f32_shift(spacecraft_smooth_f32_over_square(&row, row.s[j]),
+            -row.unit) : 0.0f;
     }
-    if (spacecraft_smooth_f32_largest(answer, 3) >= UINT32_C(0x7f800000)) {
+    if (spacecraft_smooth_f32_largest(answer, 3) >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS) {
         return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_OVERFLOW, info);
     }
     status = row.rank ? SPACECRAFT_SMOOTH_F32_OK : SPACECRAFT_SMOOTH_F32_RANK_DEFICIENT_CONSISTENT;
@@ -440,17 +503,22 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_pinv_scaled(const fl
     return status;
 }
 
-/* At most 127 where the short form takes such a square: not where it is zero, NaN or infinite.
-   In halves of a binade, so that what is said of a task fills the same bits, and one comparison does for both. */
+/* How far s s^T is above the lowest value that the short form takes: 0 to SPACECRAFT_SMOOTH_F32_SPAN where it fits,
+   more where it is too large, and huge where it is too small, for the difference is unsigned. Zero, NaN and infinity
+   never fit. The exponent is taken with one bit of the fraction, so that the range of squares has as many steps as
+   that of tasks. Both spans are then the same power of two less one, and the two answers, joined by |, need one
+   comparison. */
 static uint32_t spacecraft_smooth_f32_outside(float square)
 {
     spacecraft_smooth_f32_word word;
     word.value = square;
-    word.bits >>= 22;
-    return word.bits - 190;
+    word.bits >>= SPACECRAFT_SMOOTH_F32_FRACTION_BITS - 1;
+    return word.bits - SPACECRAFT_SMOOTH_F32_SQUARE_LOW;
 }
 
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_short_info(float square, float residual, spacecraft_smooth_f32_info *info)
+/* Fills *info for the short form, which is taken at full rank only. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_short_info(float square, float residual,
+    spacecraft_smooth_f32_info *info)
 {
     info->status = SPACECRAFT_SMOOTH_F32_OK;
     info->path = SPACECRAFT_SMOOTH_F32_PATH_CLOSED_FORM;
@@ -461,17 +529,22 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_short_info(float squ
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-/* The scaled form, S and z by value: so that the short one need not store them first. */
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_values(float s_0, float s_1, float s_2, float target, float *tau, spacecraft_smooth_f32_info *info)
+/* The scaled form, its row and task passed by value: passed by address, the short form would have to store them at
+   every tick, for a call that it hardly ever makes. */
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_solve_values(float s_0, float s_1, float s_2, float target,
+    float *tau, spacecraft_smooth_f32_info *info)
 {
     const float S[3] = {s_0, s_1, s_2};
     return spacecraft_smooth_f32_solve_scaled(S, &target, NULL, tau, info);
 }
 
-/* tau = y + s^T rest / (s s^T), refined, where y may cancel and leave its rounding errors. */
-static SPACECRAFT_SMOOTH_F32_APART int spacecraft_smooth_f32_solve_refined(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info, float square, float rest)
+/* tau = y + s^T rest / (s s^T), rest = target - s y, and one refinement, where y cancels and leaves its rounding
+   errors. What does not fit its ranges, or needs a second refinement, goes to the scaled form. */
+static SPACECRAFT_SMOOTH_F32_NOINLINE int spacecraft_smooth_f32_solve_refined(const float *S, const float *z,
+    const float *y, float *tau, spacecraft_smooth_f32_info *info, float square, float rest)
 {
-    if ((spacecraft_smooth_f32_outside(square) | (spacecraft_smooth_f32_biased(rest) - 63)) <= 127) {
+    if ((spacecraft_smooth_f32_outside(square) | (spacecraft_smooth_f32_biased(rest) - SPACECRAFT_SMOOTH_F32_TASK_LOW))
+            <= SPACECRAFT_SMOOTH_F32_SPAN) {
         const float s_0 = S[0];
         const float s_1 = S[1];
         const float s_2 = S[2];
@@ -487,10 +560,12 @@ static SPACECRAFT_SMOOTH_F32_APART int spacecraft_smooth_f32_solve_refined(const
         t_1 += s_1 * more;
         t_2 += s_2 * more;
         tau_square = t_0 * t_0 + t_1 * t_1 + t_2 * t_2;
-        /* a larger step could carry tau out of range */
-        if (spacecraft_smooth_f32_biased(more) <= 190 &&
+        /* a larger step could carry tau out of the range of the type */
+        if (spacecraft_smooth_f32_biased(more) <= SPACECRAFT_SMOOTH_F32_TASK_HIGH &&
             (!spacecraft_smooth_f32_drowned(rest, target) ||
-             (spacecraft_smooth_f32_within(spacecraft_smooth_f32_biased_square(tau_square), 37, 217) && !spacecraft_smooth_f32_exhausted(square, tau_square, rest)))) {
+             (spacecraft_smooth_f32_within(spacecraft_smooth_f32_biased_square(tau_square),
+                 SPACECRAFT_SMOOTH_F32_TAU_LOW, SPACECRAFT_SMOOTH_F32_TAU_HIGH)
+                 && !spacecraft_smooth_f32_exhausted(square, tau_square, rest)))) {
             tau[0] = t_0;
             tau[1] = t_1;
             tau[2] = t_2;
@@ -503,7 +578,8 @@ static SPACECRAFT_SMOOTH_F32_APART int spacecraft_smooth_f32_solve_refined(const
     return spacecraft_smooth_f32_solve_scaled(S, z, y, tau, info);
 }
 
-static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const float *S, const float *z, const float *y, float *tau, spacecraft_smooth_f32_info *info)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE int spacecraft_smooth_f32_solve_core(const float *S, const float *z,
+    const float *y, float *tau, spacecraft_smooth_f32_info *info)
 {
     const float s_0 = S[0];
     const float s_1 = S[1];
@@ -516,8 +592,10 @@ static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const fl
         const float y_2 = y[2];
         const float rest = target - (s_0 * y_0 + s_1 * y_1 + s_2 * y_2);
         const uint32_t size = spacecraft_smooth_f32_biased(rest);
-        /* what is out of range sets high bits; and so does a rest larger than the target, which cancels */
-        if ((spacecraft_smooth_f32_outside(square) | (size - 63) | (spacecraft_smooth_f32_biased(target) - size)) > 127) {
+        /* each of the three differences is unsigned: what is out of its range, and a rest larger than the target, for
+           which y cancels, sets bits above those of the span */
+        if ((spacecraft_smooth_f32_outside(square) | (size - SPACECRAFT_SMOOTH_F32_TASK_LOW)
+                | (spacecraft_smooth_f32_biased(target) - size)) > SPACECRAFT_SMOOTH_F32_SPAN) {
             return spacecraft_smooth_f32_solve_refined(S, z, y, tau, info, square, rest);
         }
         const float scale = rest / square;
@@ -532,7 +610,8 @@ static SPACECRAFT_SMOOTH_F32_SMALL int spacecraft_smooth_f32_solve_core(const fl
         }
         return SPACECRAFT_SMOOTH_F32_OK;
     }
-    if ((spacecraft_smooth_f32_outside(square) | (spacecraft_smooth_f32_biased(target) - 63)) <= 127) {
+    if ((spacecraft_smooth_f32_outside(square)
+            | (spacecraft_smooth_f32_biased(target) - SPACECRAFT_SMOOTH_F32_TASK_LOW)) <= SPACECRAFT_SMOOTH_F32_SPAN) {
         const float scale = target / square;
         const float t_0 = s_0 * scale;
         const float t_1 = s_1 * scale;
@@ -552,7 +631,7 @@ static int spacecraft_smooth_f32_pinv_core(const float *S, float *S_pinv, spacec
 {
     const float square = S[0] * S[0] + S[1] * S[1] + S[2] * S[2];
     int j;
-    if (spacecraft_smooth_f32_outside(square) <= 127) {
+    if (spacecraft_smooth_f32_outside(square) <= SPACECRAFT_SMOOTH_F32_SPAN) {
         if (info != NULL) {
             (void)spacecraft_smooth_f32_short_info(square, 0.0f, info);
         }
@@ -564,7 +643,7 @@ static int spacecraft_smooth_f32_pinv_core(const float *S, float *S_pinv, spacec
     return spacecraft_smooth_f32_pinv_scaled(S, S_pinv, info);
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void spacecraft_smooth_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -575,17 +654,18 @@ static void spacecraft_smooth_f32_copy(const float *from, float *to, int n)
 
 static int spacecraft_smooth_f32_finite(const float *x, int n)
 {
-    return spacecraft_smooth_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return spacecraft_smooth_f32_largest(x, n) < SPACECRAFT_SMOOTH_F32_INFINITY_BITS;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int spacecraft_smooth_f32_input_finite(const spacecraft_smooth_f32_input *in)
 {
     return spacecraft_smooth_f32_finite(in->u, 3)
            && spacecraft_smooth_f32_finite(in->tau, 3);
 }
 
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(int status, const spacecraft_smooth_f32_input *in)
 {
     if (!spacecraft_smooth_f32_input_finite(in)) {
@@ -594,8 +674,10 @@ static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_reason(int status, c
     return status == SPACECRAFT_SMOOTH_F32_NONFINITE ? SPACECRAFT_SMOOTH_F32_OVERFLOW : status;
 }
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_phi(
+    const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
 {
+    /* towards phi */
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
     const float t2 = model->a * t1;
@@ -621,8 +703,10 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi(const spa
 }
 
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *model,
+    const spacecraft_smooth_f32_input *in, float *A)
 {
+    /* towards A */
     const float t0 = model->I_1 * in->u[0];
     const float t1 = model->I_2 * in->u[1];
     const float t2 = model->I_3 * in->u[2];
@@ -633,8 +717,10 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A(const space
 }
 
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *B)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *model,
+    const spacecraft_smooth_f32_input *in, float *B)
 {
+    /* towards B */
     const float t0 = model->I_1 * in->tau[0];
     const float t1 = model->I_1 * in->u[0];
     const float t2 = model->a * t1;
@@ -666,16 +752,24 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_B(const space
 }
 
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B(
+    const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
 {
+    /* towards B */
     const float t0 = model->I_1 * in->tau[0];
+    /* towards A, B */
     const float t1 = model->I_1 * in->u[0];
+    /* towards B */
     const float t2 = model->a * t1;
     const float t3 = model->I_2 * in->tau[1];
+    /* towards A, B */
     const float t4 = model->I_2 * in->u[1];
+    /* towards B */
     const float t5 = model->a * t4;
     const float t6 = model->I_3 * in->tau[2];
+    /* towards A, B */
     const float t7 = model->I_3 * in->u[2];
+    /* towards B */
     const float t8 = model->a * t7;
     const float t9 = model->c0 * in->u[0];
     const float t10 = in->u[1] * t9;
@@ -703,16 +797,24 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B(const spa
 }
 
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B_y(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B_y(
+    const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
 {
+    /* towards B */
     const float t0 = model->I_1 * in->tau[0];
+    /* towards A, B */
     const float t1 = model->I_1 * in->u[0];
+    /* towards B */
     const float t2 = model->a * t1;
     const float t3 = model->I_2 * in->tau[1];
+    /* towards A, B */
     const float t4 = model->I_2 * in->u[1];
+    /* towards B */
     const float t5 = model->a * t4;
     const float t6 = model->I_3 * in->tau[2];
+    /* towards A, B */
     const float t7 = model->I_3 * in->u[2];
+    /* towards B */
     const float t8 = model->a * t7;
     const float t9 = model->c0 * in->u[0];
     const float t10 = in->u[1] * t9;
@@ -744,22 +846,30 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_A_B_y(const s
 }
 
 
-static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_phi_A(
+    const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
 {
+    /* towards phi */
     const float t0 = model->I_1 * in->tau[0];
+    /* towards phi, A */
     const float t1 = model->I_1 * in->u[0];
+    /* towards phi */
     const float t2 = model->a * t1;
     const float t3 = t2 * 0.5f;
     const float t4 = t0 + t3;
     const float t5 = in->u[0] * t4;
     const float t6 = model->I_2 * in->tau[1];
+    /* towards phi, A */
     const float t7 = model->I_2 * in->u[1];
+    /* towards phi */
     const float t8 = model->a * t7;
     const float t9 = 0.5f * t8;
     const float t10 = t6 + t9;
     const float t11 = in->u[1] * t10;
     const float t12 = model->I_3 * in->tau[2];
+    /* towards phi, A */
     const float t13 = model->I_3 * in->u[2];
+    /* towards phi */
     const float t14 = model->a * t13;
     const float t15 = 0.5f * t14;
     const float t16 = t12 + t15;
@@ -774,8 +884,9 @@ static SPACECRAFT_SMOOTH_F32_SMALL void spacecraft_smooth_f32_eval_phi_A(const s
     A[2] = t13;
 }
 
-/* The same behind its checks: SPACECRAFT_SMOOTH_F32_OK, or a negative status. */
-static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)
+/* The same with its checks: returns SPACECRAFT_SMOOTH_F32_OK with finite results, or a negative status. */
+static int spacecraft_smooth_f32_checked_phi_A(const spacecraft_smooth_f32_model *model,
+    const spacecraft_smooth_f32_input *in, float *phi, float *A)
 {
     spacecraft_smooth_f32_eval_phi_A(model, in, phi, A);
     if (!(spacecraft_smooth_f32_finite(phi, 1))) {
@@ -836,7 +947,8 @@ int spacecraft_smooth_f32_prepare(const spacecraft_smooth_f32_params *params, sp
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-int spacecraft_smooth_f32_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi)
+int spacecraft_smooth_f32_phi(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in,
+    float *phi)
 {
     float new_phi[1];
     spacecraft_smooth_f32_eval_phi(model, in, new_phi);
@@ -872,7 +984,8 @@ int spacecraft_smooth_f32_B(const spacecraft_smooth_f32_model *model, const spac
     return SPACECRAFT_SMOOTH_F32_OK;
 }
 
-int spacecraft_smooth_f32_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
+int spacecraft_smooth_f32_A_B(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in,
+    float *A, float *B)
 {
     float new_A[3];
     float new_B[1];
@@ -893,7 +1006,8 @@ const spacecraft_smooth_f32_params spacecraft_smooth_f32_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_failed(int status, const spacecraft_smooth_f32_input *in, spacecraft_smooth_f32_info *info)
+static SPACECRAFT_SMOOTH_F32_COLD int spacecraft_smooth_f32_failed(int status, const spacecraft_smooth_f32_input *in,
+    spacecraft_smooth_f32_info *info)
 {
     return spacecraft_smooth_f32_refuse(spacecraft_smooth_f32_reason(status, in), info);
 }
@@ -903,7 +1017,8 @@ int spacecraft_smooth_f32_pinv(const float *A, float *A_pinv, spacecraft_smooth_
     return spacecraft_smooth_f32_pinv_core(A, A_pinv, info);
 }
 
-int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau_dot, spacecraft_smooth_f32_info *info)
+int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in,
+    float *tau_dot, spacecraft_smooth_f32_info *info)
 {
     float A[3], B[1], y[3];
     int status;
@@ -916,11 +1031,13 @@ int spacecraft_smooth_f32_control(const spacecraft_smooth_f32_model *model, cons
     return status;
 }
 
-/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes another. */
-int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *tau, spacecraft_smooth_f32_info *info)
+/* Nearest tau with phi = 0: tau - A+ phi, exact up to rounding; a start far away rounds so much that it takes
+   another. */
+int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in,
+    float *tau, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_input at = *in;
-    const uint32_t from = spacecraft_smooth_f32_largest(in->tau, 3) >> 23;
+    const uint32_t from = spacecraft_smooth_f32_largest(in->tau, 3) >> SPACECRAFT_SMOOTH_F32_FRACTION_BITS;
     float now[3], move[3], phi[1], A[3];
     int status = SPACECRAFT_SMOOTH_F32_OK;
     int step, i, j;
@@ -942,10 +1059,10 @@ int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, cons
             now[j] += move[j];
         }
         size = spacecraft_smooth_f32_largest(now, 3);
-        if (size >= UINT32_C(0x7f800000)) {
+        if (size >= SPACECRAFT_SMOOTH_F32_INFINITY_BITS) {
             return spacecraft_smooth_f32_refuse(SPACECRAFT_SMOOTH_F32_OVERFLOW, info);
         }
-        if (from <= (size >> 23) + 3) { /* nothing was cancelled */
+        if (from <= (size >> SPACECRAFT_SMOOTH_F32_FRACTION_BITS) + 3) { /* nothing was cancelled */
             break;
         }
         spacecraft_smooth_f32_copy(now, at.tau, 3);
@@ -954,7 +1071,8 @@ int spacecraft_smooth_f32_project(const spacecraft_smooth_f32_model *model, cons
     return status;
 }
 
-int spacecraft_smooth_f32_step(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float dt, float *tau, spacecraft_smooth_f32_info *info)
+int spacecraft_smooth_f32_step(const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in,
+    float dt, float *tau, spacecraft_smooth_f32_info *info)
 {
     spacecraft_smooth_f32_input at = *in;
     float tau_dot[3];

@@ -11,22 +11,63 @@
 #error "build unicycle_path_f32.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define UNICYCLE_PATH_F32_NOINLINE __attribute__((noinline))
+#define UNICYCLE_PATH_F32_COLD __attribute__((noinline, cold))
+#define UNICYCLE_PATH_F32_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define UNICYCLE_PATH_F32_NOINLINE
+#define UNICYCLE_PATH_F32_COLD
+#define UNICYCLE_PATH_F32_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A float as its bits: sign, exponent plus a bias, fraction. */
+#define UNICYCLE_PATH_F32_FRACTION_BITS 23
+#define UNICYCLE_PATH_F32_EXPONENT_BIAS 127
+#define UNICYCLE_PATH_F32_EXPONENT_MAX 127 /* the largest k for which 2^k is finite */
+#define UNICYCLE_PATH_F32_EXPONENT_MIN (-126) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define UNICYCLE_PATH_F32_NO_EXPONENT (-16384)
+#define UNICYCLE_PATH_F32_SUBNORMAL_LIFT 32 /* times 2 to this, every subnormal number has all its bits */
+#define UNICYCLE_PATH_F32_MAGNITUDE_MASK UINT32_C(0x7fffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define UNICYCLE_PATH_F32_INFINITY_BITS UINT32_C(0x7f800000)
+#define UNICYCLE_PATH_F32_SMALLEST_NORMAL UINT32_C(0x00800000)
+
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
+#define UNICYCLE_PATH_F32_CONSISTENCY 1.9073486e-6f /* a row whose relative residual is at most this is met */
+#define UNICYCLE_PATH_F32_RTOL 2.3841858e-7f /* singular values at or below this part of the largest count as zero */
+#define UNICYCLE_PATH_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
+#define UNICYCLE_PATH_F32_SQUARE_HIGH_0 167
+#define UNICYCLE_PATH_F32_SQUARE_LOW_1 87 /* exponents of row 1's square with which nothing needs scaling */
+#define UNICYCLE_PATH_F32_SQUARE_HIGH_1 167
+#define UNICYCLE_PATH_F32_ANSWER_LOW 27 /* the same of the answer's square */
+#define UNICYCLE_PATH_F32_ANSWER_HIGH 237
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define UNICYCLE_PATH_F32_NORMAL_FLOOR 0.000024221818f
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define UNICYCLE_PATH_F32_NORMAL_LIMIT 41285.094f
+#define UNICYCLE_PATH_F32_QR_LIMIT 615726500000.0f /* up to this bound times |B|^2 the QR needs no SVD */
+#define UNICYCLE_PATH_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
+typedef union unicycle_path_f32_word {
     float value;
     uint32_t bits;
 } unicycle_path_f32_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint32_t unicycle_path_f32_magnitude(float x)
 {
     unicycle_path_f32_word word;
     word.value = x;
-    return word.bits & UINT32_C(0x7fffffff);
+    return word.bits & UNICYCLE_PATH_F32_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint32_t unicycle_path_f32_largest(const float *x, int n)
 {
     uint32_t largest = 0;
@@ -65,18 +106,18 @@ static float unicycle_path_f32_sqrt(float x)
     uint32_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0f) || word.bits >= UINT32_C(0x7f800000)) {
+    if (!(x > 0.0f) || word.bits >= UNICYCLE_PATH_F32_INFINITY_BITS) {
         return x < 0.0f ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT32_C(0x00800000)) {
+    if (word.bits < UNICYCLE_PATH_F32_SMALLEST_NORMAL) {
         word.value = x * 4294967300.0f; /* a subnormal becomes normal; an even power of two */
-        exponent = -32;
+        exponent = -UNICYCLE_PATH_F32_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 23) - 127;
-    rest = (word.bits & (UINT32_C(0x00800000) - 1u)) | UINT32_C(0x00800000);
+    exponent += (int)(word.bits >> UNICYCLE_PATH_F32_FRACTION_BITS) - UNICYCLE_PATH_F32_EXPONENT_BIAS;
+    rest = (word.bits & (UNICYCLE_PATH_F32_SMALLEST_NORMAL - 1u)) | UNICYCLE_PATH_F32_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT32_C(0x00800000) << 1; bit != 0; bit >>= 1) {
+    for (bit = UNICYCLE_PATH_F32_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint32_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +125,8 @@ static float unicycle_path_f32_sqrt(float x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent + 126) << 23);
+    word.bits = ((root + 1u) >> 1) + ((uint32_t)(exponent
+        + UNICYCLE_PATH_F32_EXPONENT_BIAS - 1) << UNICYCLE_PATH_F32_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -104,12 +146,13 @@ static int unicycle_path_f32_reduce_far(float x, float *hi, float *lo)
     float a, b, c, rest, top, product_hi, product_lo;
     unicycle_path_f32_word word;
     const uint32_t magnitude = unicycle_path_f32_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 23);
-    const uint32_t start = exponent - 120u;
+    const uint32_t exponent = (uint32_t)(magnitude >> UNICYCLE_PATH_F32_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(UNICYCLE_PATH_F32_EXPONENT_BIAS
+        + UNICYCLE_PATH_F32_FRACTION_BITS - 30);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT32_C(0x7f800000)) {
+    if (magnitude >= UNICYCLE_PATH_F32_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0f;
         return 0;
@@ -152,7 +195,8 @@ static int unicycle_path_f32_reduce_far(float x, float *hi, float *lo)
     return quadrant;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int unicycle_path_f32_reduce(float x, float *hi, float *lo)
 {
     const uint32_t magnitude = unicycle_path_f32_magnitude(x);
@@ -199,7 +243,7 @@ static float unicycle_path_f32_cos_near(float hi, float lo)
     return w + (((1.0f - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct unicycle_path_f32_pair {
     float sin, cos;
 } unicycle_path_f32_pair;
 
@@ -226,59 +270,56 @@ static unicycle_path_f32_pair unicycle_path_f32_sincos(float x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define UNICYCLE_PATH_F32_APART __attribute__((noinline))
-#else
-#define UNICYCLE_PATH_F32_APART
-#endif
-
-/* 2^k, -126 <= k <= 127. */
+/* 2^k, for k from UNICYCLE_PATH_F32_EXPONENT_MIN to UNICYCLE_PATH_F32_EXPONENT_MAX, by writing its exponent. */
 static float unicycle_path_f32_power(int k)
 {
     unicycle_path_f32_word word;
-    word.bits = (uint32_t)(k + 127) << 23;
+    word.bits = (uint32_t)(k + UNICYCLE_PATH_F32_EXPONENT_BIAS) << UNICYCLE_PATH_F32_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static float unicycle_path_f32_shift(float x, int k)
 {
     int step;
-    if (k >= -126 && k <= 127) {
+    if (k >= UNICYCLE_PATH_F32_EXPONENT_MIN && k <= UNICYCLE_PATH_F32_EXPONENT_MAX) {
         return x * unicycle_path_f32_power(k);
     }
-    for (step = 0; step < 3 && k > 127; ++step) {
-        x *= unicycle_path_f32_power(127);
-        k -= 127;
+    for (step = 0; step < 3 && k > UNICYCLE_PATH_F32_EXPONENT_MAX; ++step) {
+        x *= unicycle_path_f32_power(UNICYCLE_PATH_F32_EXPONENT_MAX);
+        k -= UNICYCLE_PATH_F32_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -126; ++step) { /* short steps: rounded once */
-        x *= unicycle_path_f32_power(-102);
-        k -= -102;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < UNICYCLE_PATH_F32_EXPONENT_MIN; ++step) {
+        x *= unicycle_path_f32_power(UNICYCLE_PATH_F32_EXPONENT_MIN + UNICYCLE_PATH_F32_FRACTION_BITS + 1);
+        k -= UNICYCLE_PATH_F32_EXPONENT_MIN + UNICYCLE_PATH_F32_FRACTION_BITS + 1;
     }
-    if (k > 127) {
-        k = 127;
+    if (k > UNICYCLE_PATH_F32_EXPONENT_MAX) {
+        k = UNICYCLE_PATH_F32_EXPONENT_MAX;
     }
-    if (k < -126) {
-        k = -126;
+    if (k < UNICYCLE_PATH_F32_EXPONENT_MIN) {
+        k = UNICYCLE_PATH_F32_EXPONENT_MIN;
     }
     return x * unicycle_path_f32_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; UNICYCLE_PATH_F32_NO_EXPONENT for
+   zero. */
 static int unicycle_path_f32_exponent(uint32_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return UNICYCLE_PATH_F32_NO_EXPONENT;
     }
-    if (magnitude < UINT32_C(0x00800000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < UNICYCLE_PATH_F32_SMALLEST_NORMAL) {
         unicycle_path_f32_word word;
         word.bits = magnitude;
-        magnitude = unicycle_path_f32_magnitude(word.value * unicycle_path_f32_power(32));
-        lift = 32;
+        magnitude = unicycle_path_f32_magnitude(word.value
+            * unicycle_path_f32_power(UNICYCLE_PATH_F32_SUBNORMAL_LIFT));
+        lift = UNICYCLE_PATH_F32_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 23) - 127 - lift;
+    return (int)(magnitude >> UNICYCLE_PATH_F32_FRACTION_BITS) - UNICYCLE_PATH_F32_EXPONENT_BIAS - lift;
 }
 
 static float unicycle_path_f32_abs(float x)
@@ -286,69 +327,71 @@ static float unicycle_path_f32_abs(float x)
     return x < 0.0f ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint32_t unicycle_path_f32_biased(float x)
 {
     unicycle_path_f32_word word;
     word.value = x;
-    return word.bits << 1 >> 24;
+    return word.bits << 1 >> (UNICYCLE_PATH_F32_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint32_t unicycle_path_f32_biased_square(float square)
 {
     unicycle_path_f32_word word;
     word.value = square;
-    return word.bits >> 23;
+    return word.bits >> UNICYCLE_PATH_F32_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int unicycle_path_f32_within(uint32_t biased, uint32_t low, uint32_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define UNICYCLE_PATH_F32_NEAR
-#define UNICYCLE_PATH_F32_WRITTEN_OUT
+#define UNICYCLE_PATH_F32_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_F32_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define UNICYCLE_PATH_F32_NEAR inline __attribute__((always_inline))
-#define UNICYCLE_PATH_F32_WRITTEN_OUT
+#define UNICYCLE_PATH_F32_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define UNICYCLE_PATH_F32_UNROLL
 #elif defined(__clang__)
-#define UNICYCLE_PATH_F32_NEAR
-#define UNICYCLE_PATH_F32_WRITTEN_OUT /* it does so by itself */
+#define UNICYCLE_PATH_F32_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_F32_UNROLL /* clang writes such loops out by itself */
 #else
-#define UNICYCLE_PATH_F32_NEAR
-#define UNICYCLE_PATH_F32_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define UNICYCLE_PATH_F32_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_F32_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_spread(const float *restrict v, float factor, float *restrict w)
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS void unicycle_path_f32_spread(const float *restrict v, float factor,
+    float *restrict w)
 {
     int k;
-    UNICYCLE_PATH_F32_WRITTEN_OUT
+    UNICYCLE_PATH_F32_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_gather(const float *restrict w, float *restrict v)
+/* Takes the zeros between the numbers out again. */
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS void unicycle_path_f32_gather(const float *restrict w, float *restrict v)
 {
     int k;
-    UNICYCLE_PATH_F32_WRITTEN_OUT
+    UNICYCLE_PATH_F32_UNROLL
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
 }
 
-static UNICYCLE_PATH_F32_NEAR float unicycle_path_f32_inner(const float *a, const float *b)
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS float unicycle_path_f32_inner(const float *a, const float *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct unicycle_path_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
 } unicycle_path_f32_normal;
@@ -356,8 +399,8 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 1.9e-06, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int unicycle_path_f32_normal_factor(const float *B, unicycle_path_f32_normal *f)
 {
     const float g_0_0 = unicycle_path_f32_inner(B, B);
@@ -367,25 +410,28 @@ static int unicycle_path_f32_normal_factor(const float *B, unicycle_path_f32_nor
     float d_1, i_1;
     float v_1_0, l_1_0, n_1_0;
     float bound;
-    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(g_0_0), 87, 167) || !unicycle_path_f32_within(unicycle_path_f32_biased_square(g_1_1), 87, 167)) {
+    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(g_0_0), UNICYCLE_PATH_F32_SQUARE_LOW_0,
+            UNICYCLE_PATH_F32_SQUARE_HIGH_0)
+            || !unicycle_path_f32_within(unicycle_path_f32_biased_square(g_1_1), UNICYCLE_PATH_F32_SQUARE_LOW_1,
+            UNICYCLE_PATH_F32_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 0.000024221818f * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > UNICYCLE_PATH_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 0.000024221818f * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > UNICYCLE_PATH_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0f / d_1;
     n_1_0 = unicycle_path_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 41285.094f)) {
+    if (!(bound <= UNICYCLE_PATH_F32_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -406,15 +452,16 @@ static void unicycle_path_f32_normal_solve(const unicycle_path_f32_normal *f, co
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct unicycle_path_f32_line {
     float p[2];
     float l[2];
     float unit; /* a power of two: p began as unit times the row */
     int row;
 } unicycle_path_f32_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct unicycle_path_f32_qr {
     unicycle_path_f32_line line[2];
     unicycle_path_f32_line *at[2];
     float left[2];    /* squared length of at[k]->p */
@@ -425,7 +472,8 @@ typedef struct {
 } unicycle_path_f32_qr;
 
 /* rest -= along pivot, its squared length. */
-static UNICYCLE_PATH_F32_NEAR float unicycle_path_f32_take_out(float *restrict rest, const float *restrict pivot, float along)
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS float unicycle_path_f32_take_out(float *restrict rest,
+    const float *restrict pivot, float along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -462,7 +510,7 @@ static void unicycle_path_f32_qr_reduce(unicycle_path_f32_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0f;
-        if (!(square >= 7.70372e-34f)) { /* nothing is left */
+        if (!(square >= UNICYCLE_PATH_F32_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -495,8 +543,8 @@ static void unicycle_path_f32_qr_factor(const float *B, unicycle_path_f32_qr *f)
     unicycle_path_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int unicycle_path_f32_qr_certified(const unicycle_path_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -510,10 +558,11 @@ static int unicycle_path_f32_qr_certified(const unicycle_path_f32_qr *f)
     n_1_0 = unicycle_path_f32_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
-    return bound * total < 615726500000.0f;
+    return bound * total < UNICYCLE_PATH_F32_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void unicycle_path_f32_triangle(float *t, int first, float *sigma)
 {
@@ -543,8 +592,8 @@ static void unicycle_path_f32_triangle(float *t, int first, float *sigma)
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int unicycle_path_f32_svd(const unicycle_path_f32_qr *f, float *left, float *sigma)
 {
     int i, k;
@@ -566,9 +615,9 @@ static int unicycle_path_f32_svd(const unicycle_path_f32_qr *f, float *left, flo
     return 1;
 }
 
-typedef struct {
+typedef struct unicycle_path_f32_factors {
     float B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* UNICYCLE_PATH_F32_NO_EXPONENT where a row counts as zero */
     unicycle_path_f32_normal normal;
     unicycle_path_f32_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -583,9 +632,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } unicycle_path_f32_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void unicycle_path_f32_undo_scaling(unicycle_path_f32_factors *f, int top)
 {
     float F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -603,7 +653,7 @@ static void unicycle_path_f32_undo_scaling(unicycle_path_f32_factors *f, int top
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0f :
+            F[2 * k + i] = exponent == UNICYCLE_PATH_F32_NO_EXPONENT ? 0.0f :
                 unicycle_path_f32_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -680,18 +730,19 @@ static void unicycle_path_f32_undo_scaling(unicycle_path_f32_factors *f, int top
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is UNICYCLE_PATH_F32_NO_EXPONENT. */
 static void unicycle_path_f32_scale(const float *S, const int *exponent, float *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const float *const row = S + 2 * i;
-        if (exponent[i] >= -127 && exponent[i] <= 126) {
+        if (exponent[i] >= -UNICYCLE_PATH_F32_EXPONENT_MAX && exponent[i] <= -UNICYCLE_PATH_F32_EXPONENT_MIN) {
             unicycle_path_f32_spread(row, unicycle_path_f32_power(-exponent[i]), B + 2 * i);
         } else {
             float shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0f : unicycle_path_f32_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == UNICYCLE_PATH_F32_NO_EXPONENT
+                    ? 0.0f : unicycle_path_f32_shift(row[j], -exponent[i]);
             }
             unicycle_path_f32_spread(shifted, 1.0f, B + 2 * i);
         }
@@ -708,7 +759,8 @@ static int unicycle_path_f32_length(const float *row, int exponent)
         shifted[j] = unicycle_path_f32_shift(row[j], -exponent);
     }
     unicycle_path_f32_spread(shifted, 1.0f, padded);
-    return exponent + unicycle_path_f32_exponent(unicycle_path_f32_magnitude(unicycle_path_f32_inner(padded, padded))) / 2;
+    return exponent + unicycle_path_f32_exponent(
+        unicycle_path_f32_magnitude(unicycle_path_f32_inner(padded, padded))) / 2;
 }
 
 /* The singular values of f->B from its QR, and u, vectors of its short side. Returns 0 if it did not converge. */
@@ -754,8 +806,10 @@ static void unicycle_path_f32_vectors(unicycle_path_f32_factors *f, const float 
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise_svd(const float *S, unicycle_path_f32_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static UNICYCLE_PATH_F32_NOINLINE int unicycle_path_f32_factorise_svd(const float *S, unicycle_path_f32_factors *f,
+    int top, int bottom)
 {
     float u[4];
     int i;
@@ -765,7 +819,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise_svd(const float *
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 2.3841858e-7f * f->sigma[0];
+        f->rank += f->sigma[i] > UNICYCLE_PATH_F32_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -773,7 +827,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise_svd(const float *
         if (f->rank > 0 && bottom != top) {
             unicycle_path_f32_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == UNICYCLE_PATH_F32_NO_EXPONENT ? UNICYCLE_PATH_F32_NO_EXPONENT : top;
             }
             unicycle_path_f32_scale(S, f->exponent, f->B);
         }
@@ -782,19 +836,20 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise_svd(const float *
 }
 
 /* The ladder, from the step `from` on. */
-static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise(const float *S, unicycle_path_f32_factors *f, int from)
+static UNICYCLE_PATH_F32_NOINLINE int unicycle_path_f32_factorise(const float *S, unicycle_path_f32_factors *f,
+    int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = UNICYCLE_PATH_F32_NO_EXPONENT;
+    int bottom = -UNICYCLE_PATH_F32_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         unicycle_path_f32_word word;
         word.bits = unicycle_path_f32_largest(S + 2 * i, 2);
-        if (word.bits >= UINT32_C(0x7f800000)) {
+        if (word.bits >= UNICYCLE_PATH_F32_INFINITY_BITS) {
             return UNICYCLE_PATH_F32_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = UNICYCLE_PATH_F32_NO_EXPONENT;
         if (word.value > 0.0f) {
             f->exponent[i] = unicycle_path_f32_length(S + 2 * i, unicycle_path_f32_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -827,7 +882,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_factorise(const float *S, u
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static UNICYCLE_PATH_F32_APART float unicycle_path_f32_sigma_min(const float *S, unicycle_path_f32_factors *f)
+static UNICYCLE_PATH_F32_NOINLINE float unicycle_path_f32_sigma_min(const float *S, unicycle_path_f32_factors *f)
 {
     const uint32_t magnitude = unicycle_path_f32_largest(S, 4);
     const int top = magnitude == 0 ? 0 : unicycle_path_f32_exponent(magnitude);
@@ -844,12 +899,12 @@ static UNICYCLE_PATH_F32_APART float unicycle_path_f32_sigma_min(const float *S,
     return unicycle_path_f32_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int unicycle_path_f32_refuse(int status, unicycle_path_f32_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = UNICYCLE_PATH_F32_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0f;
@@ -858,17 +913,19 @@ static int unicycle_path_f32_refuse(int status, unicycle_path_f32_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 1.91e-06 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= UNICYCLE_PATH_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int unicycle_path_f32_consistent(const float *S, const float *z, const float *y, const float *tau, float *residual)
+static int unicycle_path_f32_consistent(const float *S, const float *z, const float *y, const float *tau,
+    float *residual)
 {
     int tau_unit = unicycle_path_f32_exponent(unicycle_path_f32_largest(tau, 2));
     float t[2], rest[2];
     float norm = 0.0f;
     float y_square = 0.0f;
     int unit[2];
-    int top = -16384;
+    int top = UNICYCLE_PATH_F32_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -876,9 +933,9 @@ static int unicycle_path_f32_consistent(const float *S, const float *z, const fl
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0f : unicycle_path_f32_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == UNICYCLE_PATH_F32_NO_EXPONENT ? 0.0f : unicycle_path_f32_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != UNICYCLE_PATH_F32_NO_EXPONENT) {
             const float yj = unicycle_path_f32_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -888,17 +945,18 @@ static int unicycle_path_f32_consistent(const float *S, const float *z, const fl
         const float *const row = S + 2 * i;
         const int row_unit = unicycle_path_f32_exponent(unicycle_path_f32_largest(row, 2));
         const int z_unit = unicycle_path_f32_exponent(unicycle_path_f32_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == UNICYCLE_PATH_F32_NO_EXPONENT || tau_unit == UNICYCLE_PATH_F32_NO_EXPONENT
+            ? UNICYCLE_PATH_F32_NO_EXPONENT : row_unit + tau_unit;
         float sum = 0.0f;
         float square = 0.0f;
         float scale = 0.0f;
         float target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0f;
-        if (unit[i] == -16384) {
+        if (unit[i] == UNICYCLE_PATH_F32_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != UNICYCLE_PATH_F32_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const float s = unicycle_path_f32_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -908,24 +966,27 @@ static int unicycle_path_f32_consistent(const float *S, const float *z, const fl
         }
         target = unicycle_path_f32_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 1.9073486e-6f * (scale * unicycle_path_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
+        allowed = UNICYCLE_PATH_F32_CONSISTENCY
+            * (scale * unicycle_path_f32_sqrt(square) * norm + (target < 0.0f ? -target : target));
         met = met && (rest[i] < 0.0f ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0f;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != UNICYCLE_PATH_F32_NO_EXPONENT) {
             rest[i] = unicycle_path_f32_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0f : unicycle_path_f32_shift(unicycle_path_f32_sqrt(norm), top);
+    *residual = top == UNICYCLE_PATH_F32_NO_EXPONENT
+        ? 0.0f : unicycle_path_f32_shift(unicycle_path_f32_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void unicycle_path_f32_qr_apply(const unicycle_path_f32_qr *f, const float *restrict r, float *restrict x, int careful)
+static void unicycle_path_f32_qr_apply(const unicycle_path_f32_qr *f, const float *restrict r, float *restrict x,
+    int careful)
 {
     const unicycle_path_f32_line *const p_0 = f->at[0];
     const float w_0 = p_0->unit * r[p_0->row];
@@ -943,19 +1004,21 @@ static void unicycle_path_f32_qr_apply(const unicycle_path_f32_qr *f, const floa
 }
 
 /* x = S+ r from the normal equations. */
-static void unicycle_path_f32_normal_apply(const unicycle_path_f32_normal *f, const float *B, const float *restrict r, float *restrict x)
+static void unicycle_path_f32_normal_apply(const unicycle_path_f32_normal *f, const float *B, const float *restrict r,
+    float *restrict x)
 {
     float w[2];
     int j;
     unicycle_path_f32_normal_solve(f, r, w);
-    UNICYCLE_PATH_F32_WRITTEN_OUT
+    UNICYCLE_PATH_F32_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
 
 /* r = z - B t. */
-static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_residual(const float *B, const float *z, const float *t, float *restrict r)
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS void unicycle_path_f32_residual(const float *B, const float *z,
+    const float *t, float *restrict r)
 {
     r[0] = z[0] - unicycle_path_f32_inner(B, t);
     r[1] = z[1] - unicycle_path_f32_inner(B + 2, t);
@@ -989,14 +1052,16 @@ static void unicycle_path_f32_apply(const unicycle_path_f32_factors *f, const fl
     }
 }
 
-static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S, const float *z, const float *y, float *tau, unicycle_path_f32_info *info, int from)
+static UNICYCLE_PATH_F32_NOINLINE int unicycle_path_f32_solve_scaled(const float *S, const float *z, const float *y,
+    float *tau, unicycle_path_f32_info *info, int from)
 {
     unicycle_path_f32_factors f;
     float zs[2], ys[2], r[2], x[2], answer[2];
     float residual = 0.0f;
-    int unit = -16384;
+    int unit = UNICYCLE_PATH_F32_NO_EXPONENT;
     int status, i, j;
-    if (unicycle_path_f32_largest(z, 2) >= UINT32_C(0x7f800000) || (y != NULL && unicycle_path_f32_largest(y, 2) >= UINT32_C(0x7f800000))) {
+    if (unicycle_path_f32_largest(z, 2) >= UNICYCLE_PATH_F32_INFINITY_BITS
+            || (y != NULL && unicycle_path_f32_largest(y, 2) >= UNICYCLE_PATH_F32_INFINITY_BITS)) {
         return unicycle_path_f32_refuse(UNICYCLE_PATH_F32_NONFINITE, info);
     }
     status = unicycle_path_f32_factorise(S, &f, from);
@@ -1004,7 +1069,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
         return unicycle_path_f32_refuse(status, info);
     }
     if (f.rank == 2) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
@@ -1012,15 +1077,17 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
     }
     for (i = 0; i < 2; ++i) {
         const int own = unicycle_path_f32_exponent(unicycle_path_f32_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != UNICYCLE_PATH_F32_NO_EXPONENT && own != UNICYCLE_PATH_F32_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == UNICYCLE_PATH_F32_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0f : unicycle_path_f32_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == UNICYCLE_PATH_F32_NO_EXPONENT
+            ? 0.0f : unicycle_path_f32_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
         ys[j] = y == NULL ? 0.0f : unicycle_path_f32_shift(y[j], -unit);
@@ -1042,7 +1109,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
             answer[j] += unicycle_path_f32_shift(x[j], unit);
         }
     }
-    if (unicycle_path_f32_largest(answer, 2) >= UINT32_C(0x7f800000)) {
+    if (unicycle_path_f32_largest(answer, 2) >= UNICYCLE_PATH_F32_INFINITY_BITS) {
         return unicycle_path_f32_refuse(UNICYCLE_PATH_F32_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
@@ -1065,7 +1132,8 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_scaled(const float *S
     return status;
 }
 
-static UNICYCLE_PATH_F32_APART void unicycle_path_f32_report(const float *S, const float *z, const float *y, const float *tau, int path, unicycle_path_f32_info *info)
+static UNICYCLE_PATH_F32_NOINLINE void unicycle_path_f32_report(const float *S, const float *z, const float *y,
+    const float *tau, int path, unicycle_path_f32_info *info)
 {
     unicycle_path_f32_factors f;
     (void)unicycle_path_f32_consistent(S, z, y, tau, &info->residual);
@@ -1078,7 +1146,8 @@ static UNICYCLE_PATH_F32_APART void unicycle_path_f32_report(const float *S, con
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_correct(const unicycle_path_f32_normal *normal, const unicycle_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS void unicycle_path_f32_correct(const unicycle_path_f32_normal *normal,
+    const unicycle_path_f32_qr *qr, const float *B, const float *r, float *x, int careful)
 {
     if (qr != NULL) {
         unicycle_path_f32_qr_apply(qr, r, x, careful);
@@ -1088,15 +1157,16 @@ static UNICYCLE_PATH_F32_NEAR void unicycle_path_f32_correct(const unicycle_path
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static UNICYCLE_PATH_F32_NEAR int unicycle_path_f32_answer(const unicycle_path_f32_normal *normal, const unicycle_path_f32_qr *qr, const float *S, const float *B,
+static UNICYCLE_PATH_F32_INLINE_WITH_VECTORS int unicycle_path_f32_answer(const unicycle_path_f32_normal *normal,
+    const unicycle_path_f32_qr *qr, const float *S, const float *B,
     const float *z, const float *y, float *tau, unicycle_path_f32_info *info)
 {
     float r[2], x[2], step[2];
     int j;
-    if (y != NULL && unicycle_path_f32_largest(y, 2) >= UINT32_C(0x7f800000)) {
+    if (y != NULL && unicycle_path_f32_largest(y, 2) >= UNICYCLE_PATH_F32_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 2; ++j) {
             r[j] = z[j];
@@ -1117,13 +1187,15 @@ static UNICYCLE_PATH_F32_NEAR int unicycle_path_f32_answer(const unicycle_path_f
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(unicycle_path_f32_inner(x, x)), 27, 237)) {
+    if (!unicycle_path_f32_within(unicycle_path_f32_biased_square(unicycle_path_f32_inner(x, x)),
+            UNICYCLE_PATH_F32_ANSWER_LOW, UNICYCLE_PATH_F32_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
         float answer[2];
         unicycle_path_f32_gather(x, answer);
-        unicycle_path_f32_report(S, z, y, answer, qr != NULL ? UNICYCLE_PATH_F32_PATH_QR : UNICYCLE_PATH_F32_PATH_NORMAL, info);
+        unicycle_path_f32_report(S, z, y, answer,
+            qr != NULL ? UNICYCLE_PATH_F32_PATH_QR : UNICYCLE_PATH_F32_PATH_NORMAL, info);
     }
     unicycle_path_f32_gather(x, tau);
     return 1;
@@ -1136,10 +1208,10 @@ static int unicycle_path_f32_qr_scaled(const float *B, unicycle_path_f32_qr *f)
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = unicycle_path_f32_inner(B + 2 * i, B + 2 * i);
-        exponent[i] = (unicycle_path_f32_biased(f->left[i]) + 127) / 2; /* of the length */
+        exponent[i] = (unicycle_path_f32_biased(f->left[i]) + UNICYCLE_PATH_F32_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 2; ++i) {
-        const float unit = unicycle_path_f32_power(127 - (int)exponent[i]);
+        const float unit = unicycle_path_f32_power(UNICYCLE_PATH_F32_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 2; ++j) {
             f->line[i].p[j] = unit * B[2 * i + j];
         }
@@ -1151,7 +1223,8 @@ static int unicycle_path_f32_qr_scaled(const float *B, unicycle_path_f32_qr *f)
     return unicycle_path_f32_qr_certified(f);
 }
 
-static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_qr(const float *S, const float *z, const float *y, float *tau, unicycle_path_f32_info *info)
+static UNICYCLE_PATH_F32_NOINLINE int unicycle_path_f32_solve_qr(const float *S, const float *z, const float *y,
+    float *tau, unicycle_path_f32_info *info)
 {
     unicycle_path_f32_qr f;
     const float *const B = S;
@@ -1162,7 +1235,8 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_solve_qr(const float *S, co
     return unicycle_path_f32_solve_scaled(S, z, y, tau, info, UNICYCLE_PATH_F32_PATH_QR);
 }
 
-static int unicycle_path_f32_solve_core(const float *S, const float *z, const float *y, float *tau, unicycle_path_f32_info *info)
+static int unicycle_path_f32_solve_core(const float *S, const float *z, const float *y, float *tau,
+    unicycle_path_f32_info *info)
 {
     unicycle_path_f32_normal f;
     int held;
@@ -1179,7 +1253,8 @@ static int unicycle_path_f32_solve_core(const float *S, const float *z, const fl
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static UNICYCLE_PATH_F32_APART int unicycle_path_f32_pinv_core(const float *S, float *S_pinv, unicycle_path_f32_info *info)
+static UNICYCLE_PATH_F32_NOINLINE int unicycle_path_f32_pinv_core(const float *S, float *S_pinv,
+    unicycle_path_f32_info *info)
 {
     unicycle_path_f32_factors f;
     float unit[2], x[2], answer[4];
@@ -1192,7 +1267,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_pinv_core(const float *S, f
         unit[i] = 0.0f;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == UNICYCLE_PATH_F32_NO_EXPONENT;
         unit[i] = 1.0f;
         unicycle_path_f32_apply(&f, unit, x, 1);
         unit[i] = 0.0f;
@@ -1200,7 +1275,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_pinv_core(const float *S, f
             answer[2 * j + i] = zero_row ? 0.0f : unicycle_path_f32_shift(x[j], -f.exponent[i]);
         }
     }
-    if (unicycle_path_f32_largest(answer, 4) >= UINT32_C(0x7f800000)) {
+    if (unicycle_path_f32_largest(answer, 4) >= UNICYCLE_PATH_F32_INFINITY_BITS) {
         return unicycle_path_f32_refuse(UNICYCLE_PATH_F32_OVERFLOW, info);
     }
     status = f.rank < 2 ? UNICYCLE_PATH_F32_RANK_DEFICIENT_CONSISTENT : UNICYCLE_PATH_F32_OK;
@@ -1218,7 +1293,7 @@ static UNICYCLE_PATH_F32_APART int unicycle_path_f32_pinv_core(const float *S, f
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void unicycle_path_f32_copy(const float *from, float *to, int n)
 {
     int k;
@@ -1229,10 +1304,11 @@ static void unicycle_path_f32_copy(const float *from, float *to, int n)
 
 static int unicycle_path_f32_finite(const float *x, int n)
 {
-    return unicycle_path_f32_largest(x, n) < UINT32_C(0x7f800000);
+    return unicycle_path_f32_largest(x, n) < UNICYCLE_PATH_F32_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* UNICYCLE_PATH_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in
+   the order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int unicycle_path_f32_mass_status(const float *pivot, const float *scale, int n)
 {
     int k;
@@ -1247,7 +1323,7 @@ static int unicycle_path_f32_mass_status(const float *pivot, const float *scale,
     return UNICYCLE_PATH_F32_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int unicycle_path_f32_input_finite(const unicycle_path_f32_input *in)
 {
     return unicycle_path_f32_finite(in->q, 3)
@@ -1259,17 +1335,8 @@ static int unicycle_path_f32_input_finite(const unicycle_path_f32_input *in)
            && unicycle_path_f32_finite(&in->radius_ddot, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define UNICYCLE_PATH_F32_COLD __attribute__((noinline, cold))
-#define UNICYCLE_PATH_F32_SMALL inline __attribute__((always_inline))
-#else
-#define UNICYCLE_PATH_F32_COLD
-#define UNICYCLE_PATH_F32_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(int status, const unicycle_path_f32_input *in)
 {
     if (!unicycle_path_f32_input_finite(in)) {
@@ -1278,8 +1345,10 @@ static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_reason(int status, const uni
     return status == UNICYCLE_PATH_F32_NONFINITE ? UNICYCLE_PATH_F32_OVERFLOW : status;
 }
 
-static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
+static UNICYCLE_PATH_F32_ALWAYS_INLINE void unicycle_path_f32_eval_psi(const unicycle_path_f32_model *model,
+    const unicycle_path_f32_input *in, float *psi)
 {
+    /* towards psi */
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
     const float t2 = in->q[0] + t1;
@@ -1297,8 +1366,10 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_psi(const unicycle_pa
 }
 
 
-static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
+static UNICYCLE_PATH_F32_ALWAYS_INLINE void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model,
+    const unicycle_path_f32_input *in, float *S)
 {
+    /* towards S */
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
     const float t2 = in->q[0] + t1;
@@ -1335,6 +1406,7 @@ static UNICYCLE_PATH_F32_SMALL void unicycle_path_f32_eval_S(const unicycle_path
 
 static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
+    /* towards z */
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
     const float t2 = in->q[0] + t1;
@@ -1403,8 +1475,10 @@ static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const
 }
 
 
-static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S, float *z)
+static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in,
+    float *S, float *z)
 {
+    /* towards S, z */
     const unicycle_path_f32_pair t0 = unicycle_path_f32_sincos(in->q[2]);
     const float t1 = model->ahead * t0.cos;
     const float t2 = in->q[0] + t1;
@@ -1416,34 +1490,50 @@ static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, con
     const float t8 = t3 + t7;
     const float t9 = unicycle_path_f32_sqrt(t8);
     const float t10 = t6 + t6;
+    /* towards z */
     const float t11 = t9 - in->radius;
+    /* towards S, z */
     const float t12 = t9 + t9;
     const float t13 = 1.0f / t12;
+    /* towards z */
     const float t14 = t11 * 2.0f;
     const float t15 = in->u[0] - in->speed;
     const float t16 = t15 * 1.5f;
     const float t17 = in->speed_dot - t16;
+    /* towards S, z */
     const float t18 = t0.cos * t4;
+    /* towards z */
     const float t19 = t0.cos * in->u[0];
+    /* towards S, z */
     const float t20 = t0.sin * t10;
     const float t21 = t18 + t20;
     const float t22 = t21 * t13;
+    /* towards z */
     const float t23 = t0.sin * in->u[0];
+    /* towards S */
     const float t24 = t22 * model->c1;
+    /* towards S, z */
     const float t25 = t1 * t10;
+    /* towards z */
     const float t26 = t1 * in->u[1];
     const float t27 = t23 + t26;
+    /* towards S, z */
     const float t28 = t5 * t4;
     const float t29 = t25 - t28;
     const float t30 = t13 * t29;
     const float t31 = t30 * model->c2;
+    /* towards z */
     const float t32 = t5 * in->u[1];
     const float t33 = t19 - t32;
+    /* towards S */
     const float t34 = t31 * model->c3;
+    /* towards z */
     const float t35 = t31 * in->u[1];
     const float t36 = 0.1f * t35;
+    /* towards S */
     const float t37 = t24 + t34;
     const float t38 = t24 - t34;
+    /* towards z */
     const float t39 = t4 * t33;
     const float t40 = t4 * t27;
     const float t41 = t10 * t27;
@@ -1543,7 +1633,8 @@ int unicycle_path_f32_prepare(const unicycle_path_f32_params *params, unicycle_p
 int unicycle_path_f32_psi(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *psi)
 {
     float new_psi[2];
-    if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
+    if (!(unicycle_path_f32_finite(in->u + 1, 1) && unicycle_path_f32_finite(&in->speed_dot, 1)
+            && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
         return unicycle_path_f32_reason(UNICYCLE_PATH_F32_NONFINITE, in);
     }
     unicycle_path_f32_eval_psi(model, in, new_psi);
@@ -1557,7 +1648,9 @@ int unicycle_path_f32_psi(const unicycle_path_f32_model *model, const unicycle_p
 int unicycle_path_f32_S(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *S)
 {
     float new_S[4];
-    if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1) && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1) && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
+    if (!(unicycle_path_f32_finite(in->u, 2) && unicycle_path_f32_finite(&in->speed, 1)
+            && unicycle_path_f32_finite(&in->speed_dot, 1) && unicycle_path_f32_finite(&in->radius, 1)
+            && unicycle_path_f32_finite(&in->radius_dot, 1) && unicycle_path_f32_finite(&in->radius_ddot, 1))) {
         return unicycle_path_f32_reason(UNICYCLE_PATH_F32_NONFINITE, in);
     }
     unicycle_path_f32_eval_S(model, in, new_S);
@@ -1601,7 +1694,8 @@ const unicycle_path_f32_params unicycle_path_f32_params_default = {
 };
 
 /* A failure and its reason, returned and told. */
-static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_failed(int status, const unicycle_path_f32_input *in, unicycle_path_f32_info *info)
+static UNICYCLE_PATH_F32_COLD int unicycle_path_f32_failed(int status, const unicycle_path_f32_input *in,
+    unicycle_path_f32_info *info)
 {
     return unicycle_path_f32_refuse(unicycle_path_f32_reason(status, in), info);
 }
@@ -1611,7 +1705,8 @@ int unicycle_path_f32_pinv(const float *S, float *S_pinv, unicycle_path_f32_info
     return unicycle_path_f32_pinv_core(S, S_pinv, info);
 }
 
-int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *tau, unicycle_path_f32_info *info)
+int unicycle_path_f32_control(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *tau,
+    unicycle_path_f32_info *info)
 {
     float S[4], z[2];
     int status;

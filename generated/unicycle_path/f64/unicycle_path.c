@@ -11,22 +11,64 @@
 #error "build unicycle_path.c without -ffast-math: NaN and infinity must be told from numbers"
 #endif
 
-/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ---- */
+/* How a function is compiled. COLD: hardly ever called, so it stands apart from the code that runs at every tick.
+   ALWAYS_INLINE: so short that a call, and passing its results through memory, would cost as much as it does. */
+#if defined(__GNUC__)
+#define UNICYCLE_PATH_NOINLINE __attribute__((noinline))
+#define UNICYCLE_PATH_COLD __attribute__((noinline, cold))
+#define UNICYCLE_PATH_ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define UNICYCLE_PATH_NOINLINE
+#define UNICYCLE_PATH_COLD
+#define UNICYCLE_PATH_ALWAYS_INLINE
+#endif
 
-typedef union {
+/* A double as its bits: sign, exponent plus a bias, fraction. */
+#define UNICYCLE_PATH_FRACTION_BITS 52
+#define UNICYCLE_PATH_EXPONENT_BIAS 1023
+#define UNICYCLE_PATH_EXPONENT_MAX 1023 /* the largest k for which 2^k is finite */
+#define UNICYCLE_PATH_EXPONENT_MIN (-1022) /* the smallest k for which 2^k has all its bits */
+/* stands for the exponent of zero: below all others, and below sums of two */
+#define UNICYCLE_PATH_NO_EXPONENT (-16384)
+#define UNICYCLE_PATH_SUBNORMAL_LIFT 64 /* times 2 to this, every subnormal number has all its bits */
+#define UNICYCLE_PATH_MAGNITUDE_MASK UINT64_C(0x7fffffffffffffff) /* all but the sign */
+/* a magnitude as large as this, or larger, is not a finite number */
+#define UNICYCLE_PATH_INFINITY_BITS UINT64_C(0x7ff0000000000000)
+#define UNICYCLE_PATH_SMALLEST_NORMAL UINT64_C(0x0010000000000000)
+
+/* ---- pseudo-inverse of S, 2 x 2, row-major: normal equations, pivoted QR or SVD, whichever is first proven safe ----
+   Its theory, with the sources, is servogen's numerics.md. */
+
+/* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
+#define UNICYCLE_PATH_CONSISTENCY 3.552713678800501e-15 /* a row whose relative residual is at most this is met */
+/* singular values at or below this part of the largest count as zero */
+#define UNICYCLE_PATH_RTOL 4.440892098500626e-16
+#define UNICYCLE_PATH_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
+#define UNICYCLE_PATH_SQUARE_HIGH_0 1523
+#define UNICYCLE_PATH_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
+#define UNICYCLE_PATH_SQUARE_HIGH_1 1523
+#define UNICYCLE_PATH_ANSWER_LOW 23 /* the same of the answer's square */
+#define UNICYCLE_PATH_ANSWER_HIGH 1923
+/* a pivot below this part of its diagonal entry exceeds the next limit */
+#define UNICYCLE_PATH_NORMAL_FLOOR 3.666852862501036e-11
+/* up to this bound the normal equations are accurate, and no SVD is needed */
+#define UNICYCLE_PATH_NORMAL_LIMIT 27271342415.357616
+#define UNICYCLE_PATH_QR_LIMIT 1.7747108403195213e+29 /* up to this bound times |B|^2 the QR needs no SVD */
+#define UNICYCLE_PATH_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
+typedef union unicycle_path_word {
     double value;
     uint64_t bits;
 } unicycle_path_word;
 
-/* The bits of |x|: ordered as |x| is, with infinity and then NaN on top. */
+/* The bits of |x|. As integers they are in the order of |x|, with infinity and then NaN above all numbers. */
 static uint64_t unicycle_path_magnitude(double x)
 {
     unicycle_path_word word;
     word.value = x;
-    return word.bits & UINT64_C(0x7fffffffffffffff);
+    return word.bits & UNICYCLE_PATH_MAGNITUDE_MASK;
 }
 
-/* The largest of the n magnitudes. */
+/* The largest of n magnitudes: that of a NaN if there is one. */
 static uint64_t unicycle_path_largest(const double *x, int n)
 {
     uint64_t largest = 0;
@@ -65,18 +107,18 @@ static double unicycle_path_sqrt(double x)
     uint64_t rest, root = 0, bit;
     int exponent = 0;
     word.value = x;
-    if (!(x > 0.0) || word.bits >= UINT64_C(0x7ff0000000000000)) {
+    if (!(x > 0.0) || word.bits >= UNICYCLE_PATH_INFINITY_BITS) {
         return x < 0.0 ? (x - x) / (x - x) : x; /* NaN below zero; zeros, NaN and infinity are their own roots */
     }
-    if (word.bits < UINT64_C(0x0010000000000000)) {
+    if (word.bits < UNICYCLE_PATH_SMALLEST_NORMAL) {
         word.value = x * 1.8446744073709552e+19; /* a subnormal becomes normal; an even power of two */
-        exponent = -64;
+        exponent = -UNICYCLE_PATH_SUBNORMAL_LIFT;
     }
-    exponent += (int)(word.bits >> 52) - 1023;
-    rest = (word.bits & (UINT64_C(0x0010000000000000) - 1u)) | UINT64_C(0x0010000000000000);
+    exponent += (int)(word.bits >> UNICYCLE_PATH_FRACTION_BITS) - UNICYCLE_PATH_EXPONENT_BIAS;
+    rest = (word.bits & (UNICYCLE_PATH_SMALLEST_NORMAL - 1u)) | UNICYCLE_PATH_SMALLEST_NORMAL;
     rest <<= 1 + (exponent & 1);
     exponent = (exponent - (exponent & 1)) / 2;
-    for (bit = UINT64_C(0x0010000000000000) << 1; bit != 0; bit >>= 1) {
+    for (bit = UNICYCLE_PATH_SMALLEST_NORMAL << 1; bit != 0; bit >>= 1) {
         const uint64_t trial = (root << 1) + bit;
         if (trial <= rest) {
             rest -= trial;
@@ -84,7 +126,8 @@ static double unicycle_path_sqrt(double x)
         }
         rest <<= 1;
     }
-    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent + 1022) << 52);
+    word.bits = ((root + 1u) >> 1) + ((uint64_t)(exponent
+        + UNICYCLE_PATH_EXPONENT_BIAS - 1) << UNICYCLE_PATH_FRACTION_BITS);
     return word.value;
 }
 #endif
@@ -108,12 +151,12 @@ static int unicycle_path_reduce_far(double x, double *hi, double *lo)
     double a, b, c, rest, top, product_hi, product_lo;
     unicycle_path_word word;
     const uint64_t magnitude = unicycle_path_magnitude(x);
-    const uint32_t exponent = (uint32_t)(magnitude >> 52);
-    const uint32_t start = exponent - 1013u;
+    const uint32_t exponent = (uint32_t)(magnitude >> UNICYCLE_PATH_FRACTION_BITS);
+    const uint32_t start = exponent - (uint32_t)(UNICYCLE_PATH_EXPONENT_BIAS + UNICYCLE_PATH_FRACTION_BITS - 62);
     const uint32_t *window = two_over_pi + start / 32u;
     const uint32_t shift = start % 32u;
     int negative, quadrant, i;
-    if (magnitude >= UINT64_C(0x7ff0000000000000)) {
+    if (magnitude >= UNICYCLE_PATH_INFINITY_BITS) {
         *hi = x - x; /* NaN */
         *lo = 0.0;
         return 0;
@@ -122,12 +165,14 @@ static int unicycle_path_reduce_far(double x, double *hi, double *lo)
         const uint32_t low = (uint32_t)magnitude;
         const uint32_t high = ((uint32_t)(magnitude >> 32) & 0x000fffffu) | 0x00100000u;
         for (i = 5; i >= 0; --i) {
-            sum = (sum >> 32) + (uint64_t)low * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            sum = (sum >> 32) + (uint64_t)low
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             product[i] = (uint32_t)sum;
         }
         sum = 0;
         for (i = 5; i > 0; --i) {
-            const uint64_t part = (uint64_t)high * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
+            const uint64_t part = (uint64_t)high
+                * (uint32_t)((((uint64_t)window[i] << 32) | window[i + 1]) >> (32u - shift));
             sum = (sum >> 32) + part + product[i - 1];
             product[i - 1] = (uint32_t)sum;
         }
@@ -179,7 +224,8 @@ static void unicycle_path_reduce_close(double x, double k, double *hi, double *l
     *lo = (t - *hi) + rest;
 }
 
-/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives NaN. */
+/* x = k pi/2 + hi + lo, |hi + lo| up to pi/4 (and a rounding error); returns k modulo 4. A NaN or infinity gives
+   NaN. */
 static inline int unicycle_path_reduce(double x, double *hi, double *lo)
 {
     const uint64_t magnitude = unicycle_path_magnitude(x);
@@ -203,7 +249,8 @@ static inline int unicycle_path_reduce(double x, double *hi, double *lo)
         head = x - k * 1.5707963267341256; /* exact */
         tail = k * 6.077100506506192e-11;
         *hi = head - tail;
-        if ((magnitude >> 52) > (unicycle_path_magnitude(*hi) >> 52) + 24u) {
+        if ((magnitude >> UNICYCLE_PATH_FRACTION_BITS)
+                > (unicycle_path_magnitude(*hi) >> UNICYCLE_PATH_FRACTION_BITS) + 24u) {
             double close_hi, close_lo;
             unicycle_path_reduce_close(x, k, &close_hi, &close_lo);
             *hi = close_hi;
@@ -220,20 +267,22 @@ static inline int unicycle_path_reduce(double x, double *hi, double *lo)
 static double unicycle_path_sin_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
+    const double s = ((((-1.5895998096090317e-10 * z + 2.505074322341839e-08) * z + -2.7557313587657125e-06) * z
+        + 0.00019841269829472141) * z + -0.008333333333321931) * z + 0.1666666666666663;
     return hi - (hi * (z * s) - lo);
 }
 
 static double unicycle_path_cos_near(double hi, double lo)
 {
     const double z = hi * hi;
-    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
+    const double c = ((((-1.1358749379075819e-11 * z + 2.08757053981268e-09) * z + -2.7557314217049263e-07) * z
+        + 2.4801587289002096e-05) * z + -0.0013888888888873342) * z + 0.041666666666666595;
     const double h = 0.5 * z;
     const double w = 1.0 - h;
     return w + (((1.0 - w) - h) + (z * z * c - hi * lo));
 }
 
-typedef struct {
+typedef struct unicycle_path_pair {
     double sin, cos;
 } unicycle_path_pair;
 
@@ -260,59 +309,54 @@ static unicycle_path_pair unicycle_path_sincos(double x)
 }
 
 
-/* Kept out of line, so that the steps before it stay short. */
-#if defined(__GNUC__)
-#define UNICYCLE_PATH_APART __attribute__((noinline))
-#else
-#define UNICYCLE_PATH_APART
-#endif
-
-/* 2^k, -1022 <= k <= 1023. */
+/* 2^k, for k from UNICYCLE_PATH_EXPONENT_MIN to UNICYCLE_PATH_EXPONENT_MAX, by writing its exponent. */
 static double unicycle_path_power(int k)
 {
     unicycle_path_word word;
-    word.bits = (uint64_t)(k + 1023) << 52;
+    word.bits = (uint64_t)(k + UNICYCLE_PATH_EXPONENT_BIAS) << UNICYCLE_PATH_FRACTION_BITS;
     return word.value;
 }
 
-/* 2^k x, in steps where 2^k itself is out of range. */
+/* 2^k x: in several steps where 2^k itself is out of range. */
 static double unicycle_path_shift(double x, int k)
 {
     int step;
-    if (k >= -1022 && k <= 1023) {
+    if (k >= UNICYCLE_PATH_EXPONENT_MIN && k <= UNICYCLE_PATH_EXPONENT_MAX) {
         return x * unicycle_path_power(k);
     }
-    for (step = 0; step < 3 && k > 1023; ++step) {
-        x *= unicycle_path_power(1023);
-        k -= 1023;
+    for (step = 0; step < 3 && k > UNICYCLE_PATH_EXPONENT_MAX; ++step) {
+        x *= unicycle_path_power(UNICYCLE_PATH_EXPONENT_MAX);
+        k -= UNICYCLE_PATH_EXPONENT_MAX;
     }
-    for (step = 0; step < 3 && k < -1022; ++step) { /* short steps: rounded once */
-        x *= unicycle_path_power(-969);
-        k -= -969;
+    /* shorter steps, so that only the last one can round */
+    for (step = 0; step < 3 && k < UNICYCLE_PATH_EXPONENT_MIN; ++step) {
+        x *= unicycle_path_power(UNICYCLE_PATH_EXPONENT_MIN + UNICYCLE_PATH_FRACTION_BITS + 1);
+        k -= UNICYCLE_PATH_EXPONENT_MIN + UNICYCLE_PATH_FRACTION_BITS + 1;
     }
-    if (k > 1023) {
-        k = 1023;
+    if (k > UNICYCLE_PATH_EXPONENT_MAX) {
+        k = UNICYCLE_PATH_EXPONENT_MAX;
     }
-    if (k < -1022) {
-        k = -1022;
+    if (k < UNICYCLE_PATH_EXPONENT_MIN) {
+        k = UNICYCLE_PATH_EXPONENT_MIN;
     }
     return x * unicycle_path_power(k);
 }
 
-/* floor(log2 |x|) from the bits of a finite |x|; -16384 for zero. */
+/* The exponent e of a finite x, 2^e <= |x| < 2^(e + 1), from the bits of |x|; UNICYCLE_PATH_NO_EXPONENT for zero. */
 static int unicycle_path_exponent(uint64_t magnitude)
 {
     int lift = 0;
     if (magnitude == 0) {
-        return -16384;
+        return UNICYCLE_PATH_NO_EXPONENT;
     }
-    if (magnitude < UINT64_C(0x0010000000000000)) { /* subnormal: two steps */
+    /* a subnormal number has its exponent in its leading zeros: lift it first */
+    if (magnitude < UNICYCLE_PATH_SMALLEST_NORMAL) {
         unicycle_path_word word;
         word.bits = magnitude;
-        magnitude = unicycle_path_magnitude(word.value * unicycle_path_power(64));
-        lift = 64;
+        magnitude = unicycle_path_magnitude(word.value * unicycle_path_power(UNICYCLE_PATH_SUBNORMAL_LIFT));
+        lift = UNICYCLE_PATH_SUBNORMAL_LIFT;
     }
-    return (int)(magnitude >> 52) - 1023 - lift;
+    return (int)(magnitude >> UNICYCLE_PATH_FRACTION_BITS) - UNICYCLE_PATH_EXPONENT_BIAS - lift;
 }
 
 static double unicycle_path_abs(double x)
@@ -320,69 +364,71 @@ static double unicycle_path_abs(double x)
     return x < 0.0 ? -x : x;
 }
 
-/* The biased exponent: 0 for zero and subnormals, the largest for NaN and infinity. */
+/* The exponent as the bits have it, with its bias: 0 for zero and subnormals, the largest for NaN and infinity. */
 static uint64_t unicycle_path_biased(double x)
 {
     unicycle_path_word word;
     word.value = x;
-    return word.bits << 1 >> 53;
+    return word.bits << 1 >> (UNICYCLE_PATH_FRACTION_BITS + 1);
 }
 
-/* The biased exponent of a square, which has no sign to drop: a NaN's takes it beyond every range. */
+/* The same of a square, whose sign is not taken off: a negative NaN only ends further beyond every range. */
 static uint64_t unicycle_path_biased_square(double square)
 {
     unicycle_path_word word;
     word.value = square;
-    return word.bits >> 52;
+    return word.bits >> UNICYCLE_PATH_FRACTION_BITS;
 }
 
-/* Whether a biased exponent lies in low..high: false for those of zero, NaN and infinity. */
+/* Whether an exponent with its bias lies in low..high. No range holds those of zero, NaN and infinity. */
 static int unicycle_path_within(uint64_t biased, uint64_t low, uint64_t high)
 {
-    return biased - low <= high - low; /* unsigned: one comparison */
+    return biased - low <= high - low; /* below low the unsigned difference is huge: one comparison does for both */
 }
 
-/* Inlined where a few vector instructions are all there is. Elsewhere a call, its loops written out: small code, and as
-   fast as it can be one number at a time. */
+/* INLINE_WITH_VECTORS: a loop over four numbers is one vector instruction where the machine has them, and then a call
+   would cost more than the work. Elsewhere it is a call, which keeps the code small, with its loops written out
+   (UNROLL), which is as fast as one number at a time can be. */
 #if !defined(__GNUC__) || defined(__OPTIMIZE_SIZE__)
-#define UNICYCLE_PATH_NEAR
-#define UNICYCLE_PATH_WRITTEN_OUT
+#define UNICYCLE_PATH_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_UNROLL
 #elif defined(__SSE2__) || defined(__ARM_NEON)
-#define UNICYCLE_PATH_NEAR inline __attribute__((always_inline))
-#define UNICYCLE_PATH_WRITTEN_OUT
+#define UNICYCLE_PATH_INLINE_WITH_VECTORS inline __attribute__((always_inline))
+#define UNICYCLE_PATH_UNROLL
 #elif defined(__clang__)
-#define UNICYCLE_PATH_NEAR
-#define UNICYCLE_PATH_WRITTEN_OUT /* it does so by itself */
+#define UNICYCLE_PATH_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_UNROLL /* clang writes such loops out by itself */
 #else
-#define UNICYCLE_PATH_NEAR
-#define UNICYCLE_PATH_WRITTEN_OUT _Pragma("GCC unroll 12")
+#define UNICYCLE_PATH_INLINE_WITH_VECTORS
+#define UNICYCLE_PATH_UNROLL _Pragma("GCC unroll 12")
 #endif
 
-static UNICYCLE_PATH_NEAR void unicycle_path_spread(const double *restrict v, double factor, double *restrict w)
+static UNICYCLE_PATH_INLINE_WITH_VECTORS void unicycle_path_spread(const double *restrict v, double factor,
+    double *restrict w)
 {
     int k;
-    UNICYCLE_PATH_WRITTEN_OUT
+    UNICYCLE_PATH_UNROLL
     for (k = 0; k < 2; ++k) {
         w[k] = factor * v[k];
     }
 }
 
-/* The inverse of spreading, without a factor. */
-static UNICYCLE_PATH_NEAR void unicycle_path_gather(const double *restrict w, double *restrict v)
+/* Takes the zeros between the numbers out again. */
+static UNICYCLE_PATH_INLINE_WITH_VECTORS void unicycle_path_gather(const double *restrict w, double *restrict v)
 {
     int k;
-    UNICYCLE_PATH_WRITTEN_OUT
+    UNICYCLE_PATH_UNROLL
     for (k = 0; k < 2; ++k) {
         v[k] = w[k];
     }
 }
 
-static UNICYCLE_PATH_NEAR double unicycle_path_inner(const double *a, const double *b)
+static UNICYCLE_PATH_INLINE_WITH_VECTORS double unicycle_path_inner(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1];
 }
 
-typedef struct {
+typedef struct unicycle_path_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
 } unicycle_path_normal;
@@ -390,8 +436,8 @@ typedef struct {
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
    0 if it does not, -1 if a square leaves the range in which nothing under- or overflows (NaN and infinity do).
 
-   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the product:
-   bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
+   With the rows brought to length 1, B = diag(|b_i|) A, sigma_min(A)^2 >= 1 / bound - 3.6e-15, the rounding of the
+   product: bound is the squared Frobenius norm of the inverse of the comparison matrix of the triangle D^(1/2) L^T. */
 static int unicycle_path_normal_factor(const double *B, unicycle_path_normal *f)
 {
     const double g_0_0 = unicycle_path_inner(B, B);
@@ -401,25 +447,28 @@ static int unicycle_path_normal_factor(const double *B, unicycle_path_normal *f)
     double d_1, i_1;
     double v_1_0, l_1_0, n_1_0;
     double bound;
-    if (!unicycle_path_within(unicycle_path_biased_square(g_0_0), 523, 1523) || !unicycle_path_within(unicycle_path_biased_square(g_1_1), 523, 1523)) {
+    if (!unicycle_path_within(unicycle_path_biased_square(g_0_0), UNICYCLE_PATH_SQUARE_LOW_0,
+            UNICYCLE_PATH_SQUARE_HIGH_0)
+            || !unicycle_path_within(unicycle_path_biased_square(g_1_1), UNICYCLE_PATH_SQUARE_LOW_1,
+            UNICYCLE_PATH_SQUARE_HIGH_1)) {
         return -1;
     }
     d_0 = g_0_0;
-    if (!(d_0 > 3.666852862501036e-11 * g_0_0)) { /* bound exceeds g / d */
+    if (!(d_0 > UNICYCLE_PATH_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
     i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
-    if (!(d_1 > 3.666852862501036e-11 * g_1_1)) { /* bound exceeds g / d */
+    if (!(d_1 > UNICYCLE_PATH_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
     i_1 = 1.0 / d_1;
     n_1_0 = unicycle_path_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
-    if (!(bound <= 27271342415.357616)) {
+    if (!(bound <= UNICYCLE_PATH_NORMAL_LIMIT)) {
         return 0;
     }
     f->inverse[0] = i_0;
@@ -440,15 +489,16 @@ static void unicycle_path_normal_solve(const unicycle_path_normal *f, const doub
 }
 
 /* What is left of one row of B, and what the pivots before it took. */
-typedef struct {
+typedef struct unicycle_path_line {
     double p[2];
     double l[2];
     double unit; /* a power of two: p began as unit times the row */
     int row;
 } unicycle_path_line;
 
-/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is L. */
-typedef struct {
+/* B = L P, in the order of the pivots: at[k]->p is the k-th, orthogonal to all before it; at[i]->l[k], k <= i, is
+   L. */
+typedef struct unicycle_path_qr {
     unicycle_path_line line[2];
     unicycle_path_line *at[2];
     double left[2];    /* squared length of at[k]->p */
@@ -459,7 +509,8 @@ typedef struct {
 } unicycle_path_qr;
 
 /* rest -= along pivot, its squared length. */
-static UNICYCLE_PATH_NEAR double unicycle_path_take_out(double *restrict rest, const double *restrict pivot, double along)
+static UNICYCLE_PATH_INLINE_WITH_VECTORS double unicycle_path_take_out(double *restrict rest,
+    const double *restrict pivot, double along)
 {
     int j;
     for (j = 0; j < 2; ++j) {
@@ -496,7 +547,7 @@ static void unicycle_path_qr_reduce(unicycle_path_qr *f)
         f->left[top] = f->left[k];
         f->left[k] = square;
         pivot->l[k] = 1.0;
-        if (!(square >= 1.1830521861667747e-271)) { /* nothing is left */
+        if (!(square >= UNICYCLE_PATH_SMALLEST_SQUARE)) { /* nothing is left */
             return;
         }
         f->steps = k + 1;
@@ -529,8 +580,8 @@ static void unicycle_path_qr_factor(const double *B, unicycle_path_qr *f)
     unicycle_path_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above but
-   of the triangle found here (its backward error is that of Bjoerck 1967). */
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
 static int unicycle_path_qr_certified(const unicycle_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
@@ -544,10 +595,11 @@ static int unicycle_path_qr_certified(const unicycle_path_qr *f)
     n_1_0 = unicycle_path_abs(row_1[0]);
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    return bound * total < 1.7747108403195213e+29;
+    return bound * total < UNICYCLE_PATH_QR_LIMIT;
 }
 
-/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed form
+/* The SVD of the triangle with columns t_0 = (f, g), t_1 = (0, h), f >= |g|, |h| in the order of the pivots, in closed
+   form
    (LAPACK's dlasv2: no cancellation anywhere). t_k becomes the left singular vector of sigma_k, of length 1. */
 static void unicycle_path_triangle(double *t, int first, double *sigma)
 {
@@ -577,8 +629,8 @@ static void unicycle_path_triangle(double *t, int first, double *sigma)
     t[2 + second] = c;
 }
 
-/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as many as
-   sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
+/* The singular values of B, sigma largest first, and left[2*k]: unit vectors u_k with B B^T u_k = sigma_k^2 u_k, as
+   many as sigma_k that are not zero. From the triangle of f, B = L P. Returns the sweeps, 0 if it did not converge. */
 static int unicycle_path_svd(const unicycle_path_qr *f, double *left, double *sigma)
 {
     int i, k;
@@ -600,9 +652,9 @@ static int unicycle_path_svd(const unicycle_path_qr *f, double *left, double *si
     return 1;
 }
 
-typedef struct {
+typedef struct unicycle_path_factors {
     double B[4];  /* the rows of S, row i of S times 2^-exponent[i] */
-    int exponent[2];   /* -16384 where a row counts as zero */
+    int exponent[2];   /* UNICYCLE_PATH_NO_EXPONENT where a row counts as zero */
     unicycle_path_normal normal;
     unicycle_path_qr qr;
     /* after an SVD that truncates or damps: S+ = sum_k right_k left_k^T gain_k, k below rank */
@@ -617,9 +669,10 @@ typedef struct {
     int uniform;       /* all rows have one exponent and none counts as zero: sigma is that of the raw S */
 } unicycle_path_factors;
 
-/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k of
-   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row by
-   row however far the scales lie apart (Cox and Higham 1998). */
+/* S = D F V^T with D the rows' scales and F_k = sigma_k left_k, of full rank: S+ = V (D F)+. Fills left[k] with row k
+   of
+   (D F)+, by Householder reflections with the heaviest rows on top and the longest column first, which is stable row
+   by row however far the scales lie apart (Cox and Higham 1998). */
 static void unicycle_path_undo_scaling(unicycle_path_factors *f, int top)
 {
     double F[4]; /* column k in F + 2 k; reflections below the diagonal, R above */
@@ -637,7 +690,7 @@ static void unicycle_path_undo_scaling(unicycle_path_factors *f, int top)
         column[k] = k;
         for (i = 0; i < 2; ++i) {
             const int exponent = f->exponent[row[i]];
-            F[2 * k + i] = exponent == -16384 ? 0.0 :
+            F[2 * k + i] = exponent == UNICYCLE_PATH_NO_EXPONENT ? 0.0 :
                 unicycle_path_shift(f->left[2 * k + row[i]] * f->sigma[k], exponent - top);
         }
     }
@@ -714,18 +767,19 @@ static void unicycle_path_undo_scaling(unicycle_path_factors *f, int top)
     }
 }
 
-/* Row i of S in the unit 2^exponent[i], all zero where that is -16384. */
+/* Row i of S in the unit 2^exponent[i], all zero where that is UNICYCLE_PATH_NO_EXPONENT. */
 static void unicycle_path_scale(const double *S, const int *exponent, double *B)
 {
     int i, j;
     for (i = 0; i < 2; ++i) {
         const double *const row = S + 2 * i;
-        if (exponent[i] >= -1023 && exponent[i] <= 1022) {
+        if (exponent[i] >= -UNICYCLE_PATH_EXPONENT_MAX && exponent[i] <= -UNICYCLE_PATH_EXPONENT_MIN) {
             unicycle_path_spread(row, unicycle_path_power(-exponent[i]), B + 2 * i);
         } else {
             double shifted[2];
             for (j = 0; j < 2; ++j) {
-                shifted[j] = exponent[i] == -16384 ? 0.0 : unicycle_path_shift(row[j], -exponent[i]);
+                shifted[j] = exponent[i] == UNICYCLE_PATH_NO_EXPONENT
+                    ? 0.0 : unicycle_path_shift(row[j], -exponent[i]);
             }
             unicycle_path_spread(shifted, 1.0, B + 2 * i);
         }
@@ -788,8 +842,10 @@ static void unicycle_path_vectors(unicycle_path_factors *f, const double *u)
     }
 }
 
-/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw S. */
-static UNICYCLE_PATH_APART int unicycle_path_factorise_svd(const double *S, unicycle_path_factors *f, int top, int bottom)
+/* Step 3: the rank by the singular values of the scaled S; then the inverse of it or, below full row rank, of the raw
+   S. */
+static UNICYCLE_PATH_NOINLINE int unicycle_path_factorise_svd(const double *S, unicycle_path_factors *f, int top,
+    int bottom)
 {
     double u[4];
     int i;
@@ -799,7 +855,7 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise_svd(const double *S, unic
     }
     f->rank = 0;
     for (i = 0; i < 2; ++i) {
-        f->rank += f->sigma[i] > 4.440892098500626e-16 * f->sigma[0];
+        f->rank += f->sigma[i] > UNICYCLE_PATH_RTOL * f->sigma[0];
     }
     f->direct = f->rank == 2;
     if (!f->direct) {
@@ -807,7 +863,7 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise_svd(const double *S, unic
         if (f->rank > 0 && bottom != top) {
             unicycle_path_undo_scaling(f, top);
             for (i = 0; i < 2; ++i) {
-                f->exponent[i] = f->exponent[i] == -16384 ? -16384 : top;
+                f->exponent[i] = f->exponent[i] == UNICYCLE_PATH_NO_EXPONENT ? UNICYCLE_PATH_NO_EXPONENT : top;
             }
             unicycle_path_scale(S, f->exponent, f->B);
         }
@@ -816,19 +872,19 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise_svd(const double *S, unic
 }
 
 /* The ladder, from the step `from` on. */
-static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle_path_factors *f, int from)
+static UNICYCLE_PATH_NOINLINE int unicycle_path_factorise(const double *S, unicycle_path_factors *f, int from)
 {
     int active = 0;
-    int top = -16384;
-    int bottom = -(-16384);
+    int top = UNICYCLE_PATH_NO_EXPONENT;
+    int bottom = -UNICYCLE_PATH_NO_EXPONENT;
     int i;
     for (i = 0; i < 2; ++i) {
         unicycle_path_word word;
         word.bits = unicycle_path_largest(S + 2 * i, 2);
-        if (word.bits >= UINT64_C(0x7ff0000000000000)) {
+        if (word.bits >= UNICYCLE_PATH_INFINITY_BITS) {
             return UNICYCLE_PATH_NONFINITE;
         }
-        f->exponent[i] = -16384;
+        f->exponent[i] = UNICYCLE_PATH_NO_EXPONENT;
         if (word.value > 0.0) {
             f->exponent[i] = unicycle_path_length(S + 2 * i, unicycle_path_exponent(word.bits));
             top = f->exponent[i] > top ? f->exponent[i] : top;
@@ -861,7 +917,7 @@ static UNICYCLE_PATH_APART int unicycle_path_factorise(const double *S, unicycle
 }
 
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
-static UNICYCLE_PATH_APART double unicycle_path_sigma_min(const double *S, unicycle_path_factors *f)
+static UNICYCLE_PATH_NOINLINE double unicycle_path_sigma_min(const double *S, unicycle_path_factors *f)
 {
     const uint64_t magnitude = unicycle_path_largest(S, 4);
     const int top = magnitude == 0 ? 0 : unicycle_path_exponent(magnitude);
@@ -878,12 +934,12 @@ static UNICYCLE_PATH_APART double unicycle_path_sigma_min(const double *S, unicy
     return unicycle_path_shift(f->sigma[1], top);
 }
 
-/* Negative: nothing but the status is known. */
+/* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int unicycle_path_refuse(int status, unicycle_path_info *info)
 {
     if (info != NULL) {
         info->status = status;
-        info->path = 0;
+        info->path = UNICYCLE_PATH_PATH_NONE;
         info->rank = 0;
         info->sweeps = 0;
         info->sigma_min = 0.0;
@@ -892,17 +948,19 @@ static int unicycle_path_refuse(int status, unicycle_path_info *info)
     return status;
 }
 
-/* Whether tau meets every row of S tau = z to a small backward error,
-   |z_i - S_i tau| <= 3.55e-15 (|S_i| (|tau| + |y|) + |z_i|).
+/* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
+   from those given by their rounding alone,
+   |z_i - S_i tau| <= UNICYCLE_PATH_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
    *residual = |z - S tau|. Each row in a unit of its own, so that nothing overflows. y may be NULL. */
-static int unicycle_path_consistent(const double *S, const double *z, const double *y, const double *tau, double *residual)
+static int unicycle_path_consistent(const double *S, const double *z, const double *y, const double *tau,
+    double *residual)
 {
     int tau_unit = unicycle_path_exponent(unicycle_path_largest(tau, 2));
     double t[2], rest[2];
     double norm = 0.0;
     double y_square = 0.0;
     int unit[2];
-    int top = -16384;
+    int top = UNICYCLE_PATH_NO_EXPONENT;
     int met = 1;
     int i, j;
     if (y != NULL) {
@@ -910,9 +968,9 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
         tau_unit = y_unit > tau_unit ? y_unit : tau_unit;
     }
     for (j = 0; j < 2; ++j) {
-        t[j] = tau_unit == -16384 ? 0.0 : unicycle_path_shift(tau[j], -tau_unit);
+        t[j] = tau_unit == UNICYCLE_PATH_NO_EXPONENT ? 0.0 : unicycle_path_shift(tau[j], -tau_unit);
         norm += t[j] * t[j];
-        if (y != NULL && tau_unit != -16384) {
+        if (y != NULL && tau_unit != UNICYCLE_PATH_NO_EXPONENT) {
             const double yj = unicycle_path_shift(y[j], -tau_unit);
             y_square += yj * yj;
         }
@@ -922,17 +980,18 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
         const double *const row = S + 2 * i;
         const int row_unit = unicycle_path_exponent(unicycle_path_largest(row, 2));
         const int z_unit = unicycle_path_exponent(unicycle_path_magnitude(z[i]));
-        const int product_unit = row_unit == -16384 || tau_unit == -16384 ? -16384 : row_unit + tau_unit;
+        const int product_unit = row_unit == UNICYCLE_PATH_NO_EXPONENT || tau_unit == UNICYCLE_PATH_NO_EXPONENT
+            ? UNICYCLE_PATH_NO_EXPONENT : row_unit + tau_unit;
         double sum = 0.0;
         double square = 0.0;
         double scale = 0.0;
         double target, allowed;
         unit[i] = product_unit > z_unit ? product_unit : z_unit;
         rest[i] = 0.0;
-        if (unit[i] == -16384) {
+        if (unit[i] == UNICYCLE_PATH_NO_EXPONENT) {
             continue;
         }
-        if (product_unit != -16384) {
+        if (product_unit != UNICYCLE_PATH_NO_EXPONENT) {
             for (j = 0; j < 2; ++j) {
                 const double s = unicycle_path_shift(row[j], -row_unit);
                 sum += s * t[j];
@@ -942,24 +1001,26 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
         }
         target = unicycle_path_shift(z[i], -unit[i]);
         rest[i] = target - scale * sum;
-        allowed = 3.552713678800501e-15 * (scale * unicycle_path_sqrt(square) * norm + (target < 0.0 ? -target : target));
+        allowed = UNICYCLE_PATH_CONSISTENCY
+            * (scale * unicycle_path_sqrt(square) * norm + (target < 0.0 ? -target : target));
         met = met && (rest[i] < 0.0 ? -rest[i] : rest[i]) <= allowed;
         top = unit[i] > top ? unit[i] : top;
     }
     norm = 0.0;
     for (i = 0; i < 2; ++i) {
-        if (unit[i] != -16384) {
+        if (unit[i] != UNICYCLE_PATH_NO_EXPONENT) {
             rest[i] = unicycle_path_shift(rest[i], unit[i] - top);
             norm += rest[i] * rest[i];
         }
     }
-    *residual = top == -16384 ? 0.0 : unicycle_path_shift(unicycle_path_sqrt(norm), top);
+    *residual = top == UNICYCLE_PATH_NO_EXPONENT ? 0.0 : unicycle_path_shift(unicycle_path_sqrt(norm), top);
     return met;
 }
 
 /* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
    others makes the answer as good as if they were (Bjoerck 1994). */
-static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *restrict r, double *restrict x, int careful)
+static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *restrict r, double *restrict x,
+    int careful)
 {
     const unicycle_path_line *const p_0 = f->at[0];
     const double w_0 = p_0->unit * r[p_0->row];
@@ -977,19 +1038,21 @@ static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *rest
 }
 
 /* x = S+ r from the normal equations. */
-static void unicycle_path_normal_apply(const unicycle_path_normal *f, const double *B, const double *restrict r, double *restrict x)
+static void unicycle_path_normal_apply(const unicycle_path_normal *f, const double *B, const double *restrict r,
+    double *restrict x)
 {
     double w[2];
     int j;
     unicycle_path_normal_solve(f, r, w);
-    UNICYCLE_PATH_WRITTEN_OUT
+    UNICYCLE_PATH_UNROLL
     for (j = 0; j < 2; ++j) {
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
 
 /* r = z - B t. */
-static UNICYCLE_PATH_NEAR void unicycle_path_residual(const double *B, const double *z, const double *t, double *restrict r)
+static UNICYCLE_PATH_INLINE_WITH_VECTORS void unicycle_path_residual(const double *B, const double *z, const double *t,
+    double *restrict r)
 {
     r[0] = z[0] - unicycle_path_inner(B, t);
     r[1] = z[1] - unicycle_path_inner(B + 2, t);
@@ -1023,14 +1086,16 @@ static void unicycle_path_apply(const unicycle_path_factors *f, const double *r,
     }
 }
 
-static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info, int from)
+static UNICYCLE_PATH_NOINLINE int unicycle_path_solve_scaled(const double *S, const double *z, const double *y,
+    double *tau, unicycle_path_info *info, int from)
 {
     unicycle_path_factors f;
     double zs[2], ys[2], r[2], x[2], answer[2];
     double residual = 0.0;
-    int unit = -16384;
+    int unit = UNICYCLE_PATH_NO_EXPONENT;
     int status, i, j;
-    if (unicycle_path_largest(z, 2) >= UINT64_C(0x7ff0000000000000) || (y != NULL && unicycle_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000))) {
+    if (unicycle_path_largest(z, 2) >= UNICYCLE_PATH_INFINITY_BITS
+            || (y != NULL && unicycle_path_largest(y, 2) >= UNICYCLE_PATH_INFINITY_BITS)) {
         return unicycle_path_refuse(UNICYCLE_PATH_NONFINITE, info);
     }
     status = unicycle_path_factorise(S, &f, from);
@@ -1038,7 +1103,7 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
         return unicycle_path_refuse(status, info);
     }
     if (f.rank == 2) {
-        y = NULL; /* the one answer, whatever y */
+        y = NULL; /* there is one answer only, whatever y */
     }
     /* one unit 2^unit for the scaled z and y: no sum can overflow */
     if (y != NULL) {
@@ -1046,15 +1111,16 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
     }
     for (i = 0; i < 2; ++i) {
         const int own = unicycle_path_exponent(unicycle_path_magnitude(z[i]));
-        if (f.exponent[i] != -16384 && own != -16384 && own - f.exponent[i] > unit) {
+        if (f.exponent[i] != UNICYCLE_PATH_NO_EXPONENT && own != UNICYCLE_PATH_NO_EXPONENT
+                && own - f.exponent[i] > unit) {
             unit = own - f.exponent[i];
         }
     }
-    if (unit == -16384) {
+    if (unit == UNICYCLE_PATH_NO_EXPONENT) {
         unit = 0;
     }
     for (i = 0; i < 2; ++i) {
-        zs[i] = f.exponent[i] == -16384 ? 0.0 : unicycle_path_shift(z[i], -unit - f.exponent[i]);
+        zs[i] = f.exponent[i] == UNICYCLE_PATH_NO_EXPONENT ? 0.0 : unicycle_path_shift(z[i], -unit - f.exponent[i]);
     }
     for (j = 0; j < 2; ++j) {
         ys[j] = y == NULL ? 0.0 : unicycle_path_shift(y[j], -unit);
@@ -1076,7 +1142,7 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
             answer[j] += unicycle_path_shift(x[j], unit);
         }
     }
-    if (unicycle_path_largest(answer, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (unicycle_path_largest(answer, 2) >= UNICYCLE_PATH_INFINITY_BITS) {
         return unicycle_path_refuse(UNICYCLE_PATH_OVERFLOW, info);
     }
     if (f.rank < 2 || info != NULL) {
@@ -1099,7 +1165,8 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_scaled(const double *S, const
     return status;
 }
 
-static UNICYCLE_PATH_APART void unicycle_path_report(const double *S, const double *z, const double *y, const double *tau, int path, unicycle_path_info *info)
+static UNICYCLE_PATH_NOINLINE void unicycle_path_report(const double *S, const double *z, const double *y,
+    const double *tau, int path, unicycle_path_info *info)
 {
     unicycle_path_factors f;
     (void)unicycle_path_consistent(S, z, y, tau, &info->residual);
@@ -1112,7 +1179,8 @@ static UNICYCLE_PATH_APART void unicycle_path_report(const double *S, const doub
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
-static UNICYCLE_PATH_NEAR void unicycle_path_correct(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *B, const double *r, double *x, int careful)
+static UNICYCLE_PATH_INLINE_WITH_VECTORS void unicycle_path_correct(const unicycle_path_normal *normal,
+    const unicycle_path_qr *qr, const double *B, const double *r, double *x, int careful)
 {
     if (qr != NULL) {
         unicycle_path_qr_apply(qr, r, x, careful);
@@ -1122,15 +1190,16 @@ static UNICYCLE_PATH_NEAR void unicycle_path_correct(const unicycle_path_normal 
 }
 
 /* tau from the step of the ladder that held. Returns 0, and writes nothing, if its square leaves the range. */
-static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *normal, const unicycle_path_qr *qr, const double *S, const double *B,
+static UNICYCLE_PATH_INLINE_WITH_VECTORS int unicycle_path_answer(const unicycle_path_normal *normal,
+    const unicycle_path_qr *qr, const double *S, const double *B,
     const double *z, const double *y, double *tau, unicycle_path_info *info)
 {
     double r[2], x[2], step[2];
     int j;
-    if (y != NULL && unicycle_path_largest(y, 2) >= UINT64_C(0x7ff0000000000000)) {
+    if (y != NULL && unicycle_path_largest(y, 2) >= UNICYCLE_PATH_INFINITY_BITS) {
         return 0;
     }
-    y = NULL; /* the one answer, whatever y */
+    y = NULL; /* there is one answer only, whatever y */
     if (y == NULL) {
         for (j = 0; j < 2; ++j) {
             r[j] = z[j];
@@ -1151,7 +1220,8 @@ static UNICYCLE_PATH_NEAR int unicycle_path_answer(const unicycle_path_normal *n
     for (j = 0; j < 2; ++j) {
         x[j] += step[j];
     }
-    if (!unicycle_path_within(unicycle_path_biased_square(unicycle_path_inner(x, x)), 23, 1923)) {
+    if (!unicycle_path_within(unicycle_path_biased_square(unicycle_path_inner(x, x)), UNICYCLE_PATH_ANSWER_LOW,
+            UNICYCLE_PATH_ANSWER_HIGH)) {
         return 0;
     }
     if (info != NULL) {
@@ -1170,10 +1240,10 @@ static int unicycle_path_qr_scaled(const double *B, unicycle_path_qr *f)
     int i, j;
     for (i = 0; i < 2; ++i) {
         f->left[i] = unicycle_path_inner(B + 2 * i, B + 2 * i);
-        exponent[i] = (unicycle_path_biased(f->left[i]) + 1023) / 2; /* of the length */
+        exponent[i] = (unicycle_path_biased(f->left[i]) + UNICYCLE_PATH_EXPONENT_BIAS) / 2; /* of the length */
     }
     for (i = 0; i < 2; ++i) {
-        const double unit = unicycle_path_power(1023 - (int)exponent[i]);
+        const double unit = unicycle_path_power(UNICYCLE_PATH_EXPONENT_BIAS - (int)exponent[i]);
         for (j = 0; j < 2; ++j) {
             f->line[i].p[j] = unit * B[2 * i + j];
         }
@@ -1185,7 +1255,8 @@ static int unicycle_path_qr_scaled(const double *B, unicycle_path_qr *f)
     return unicycle_path_qr_certified(f);
 }
 
-static UNICYCLE_PATH_APART int unicycle_path_solve_qr(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info)
+static UNICYCLE_PATH_NOINLINE int unicycle_path_solve_qr(const double *S, const double *z, const double *y,
+    double *tau, unicycle_path_info *info)
 {
     unicycle_path_qr f;
     const double *const B = S;
@@ -1196,7 +1267,8 @@ static UNICYCLE_PATH_APART int unicycle_path_solve_qr(const double *S, const dou
     return unicycle_path_solve_scaled(S, z, y, tau, info, UNICYCLE_PATH_PATH_QR);
 }
 
-static int unicycle_path_solve_core(const double *S, const double *z, const double *y, double *tau, unicycle_path_info *info)
+static int unicycle_path_solve_core(const double *S, const double *z, const double *y, double *tau,
+    unicycle_path_info *info)
 {
     unicycle_path_normal f;
     int held;
@@ -1213,7 +1285,7 @@ static int unicycle_path_solve_core(const double *S, const double *z, const doub
 }
 
 /* From the QR on: what NORMAL needs is a refinement, and that would cost the symmetry of S+ S. */
-static UNICYCLE_PATH_APART int unicycle_path_pinv_core(const double *S, double *S_pinv, unicycle_path_info *info)
+static UNICYCLE_PATH_NOINLINE int unicycle_path_pinv_core(const double *S, double *S_pinv, unicycle_path_info *info)
 {
     unicycle_path_factors f;
     double unit[2], x[2], answer[4];
@@ -1226,7 +1298,7 @@ static UNICYCLE_PATH_APART int unicycle_path_pinv_core(const double *S, double *
         unit[i] = 0.0;
     }
     for (i = 0; i < 2; ++i) { /* column i of S+ is S+ e_i; refined, it would lose the symmetry of S+ S */
-        const int zero_row = f.exponent[i] == -16384;
+        const int zero_row = f.exponent[i] == UNICYCLE_PATH_NO_EXPONENT;
         unit[i] = 1.0;
         unicycle_path_apply(&f, unit, x, 1);
         unit[i] = 0.0;
@@ -1234,7 +1306,7 @@ static UNICYCLE_PATH_APART int unicycle_path_pinv_core(const double *S, double *
             answer[2 * j + i] = zero_row ? 0.0 : unicycle_path_shift(x[j], -f.exponent[i]);
         }
     }
-    if (unicycle_path_largest(answer, 4) >= UINT64_C(0x7ff0000000000000)) {
+    if (unicycle_path_largest(answer, 4) >= UNICYCLE_PATH_INFINITY_BITS) {
         return unicycle_path_refuse(UNICYCLE_PATH_OVERFLOW, info);
     }
     status = f.rank < 2 ? UNICYCLE_PATH_RANK_DEFICIENT_CONSISTENT : UNICYCLE_PATH_OK;
@@ -1252,7 +1324,7 @@ static UNICYCLE_PATH_APART int unicycle_path_pinv_core(const double *S, double *
     return status;
 }
 
-/* ---- the scene: straight-line code ---- */
+/* ---- the model and the constraints, as straight-line code ---- */
 static void unicycle_path_copy(const double *from, double *to, int n)
 {
     int k;
@@ -1263,10 +1335,11 @@ static void unicycle_path_copy(const double *from, double *to, int n)
 
 static int unicycle_path_finite(const double *x, int n)
 {
-    return unicycle_path_largest(x, n) < UINT64_C(0x7ff0000000000000);
+    return unicycle_path_largest(x, n) < UNICYCLE_PATH_INFINITY_BITS;
 }
 
-/* Whether every pivot of Q is above its rounding noise, in the order of elimination: behind a bad one all are noise. */
+/* UNICYCLE_PATH_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
+   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
 static int unicycle_path_mass_status(const double *pivot, const double *scale, int n)
 {
     int k;
@@ -1281,7 +1354,7 @@ static int unicycle_path_mass_status(const double *pivot, const double *scale, i
     return UNICYCLE_PATH_OK;
 }
 
-/* No NaN and no infinity among the inputs. */
+/* Whether all inputs are finite numbers. */
 static int unicycle_path_input_finite(const unicycle_path_input *in)
 {
     return unicycle_path_finite(in->q, 3)
@@ -1293,17 +1366,8 @@ static int unicycle_path_input_finite(const unicycle_path_input *in)
            && unicycle_path_finite(&in->radius_ddot, 1);
 }
 
-/* COLD: rarely or never needed, out of the way of what is. SMALL: a call, and what passes through memory for it, would
-   cost as much as it does. */
-#if defined(__GNUC__)
-#define UNICYCLE_PATH_COLD __attribute__((noinline, cold))
-#define UNICYCLE_PATH_SMALL inline __attribute__((always_inline))
-#else
-#define UNICYCLE_PATH_COLD
-#define UNICYCLE_PATH_SMALL
-#endif
-
-/* Of a failure: what was NaN or infinite before is the caller's, what became so is OVERFLOW. */
+/* The status to return for a failure. Called only once something has failed, so that a tick that succeeds never pays
+   for telling whose fault it is: an input that was not finite (NONFINITE), or a computation that overflowed. */
 static UNICYCLE_PATH_COLD int unicycle_path_reason(int status, const unicycle_path_input *in)
 {
     if (!unicycle_path_input_finite(in)) {
@@ -1312,8 +1376,10 @@ static UNICYCLE_PATH_COLD int unicycle_path_reason(int status, const unicycle_pa
     return status == UNICYCLE_PATH_NONFINITE ? UNICYCLE_PATH_OVERFLOW : status;
 }
 
-static UNICYCLE_PATH_SMALL void unicycle_path_eval_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
+static UNICYCLE_PATH_ALWAYS_INLINE void unicycle_path_eval_psi(const unicycle_path_model *model,
+    const unicycle_path_input *in, double *psi)
 {
+    /* towards psi */
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
     const double t2 = in->q[0] + t1;
@@ -1331,8 +1397,10 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_psi(const unicycle_path_model
 }
 
 
-static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
+static UNICYCLE_PATH_ALWAYS_INLINE void unicycle_path_eval_S(const unicycle_path_model *model,
+    const unicycle_path_input *in, double *S)
 {
+    /* towards S */
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
     const double t2 = in->q[0] + t1;
@@ -1369,6 +1437,7 @@ static UNICYCLE_PATH_SMALL void unicycle_path_eval_S(const unicycle_path_model *
 
 static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
+    /* towards z */
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
     const double t2 = in->q[0] + t1;
@@ -1437,8 +1506,10 @@ static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycl
 }
 
 
-static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S, double *z)
+static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S,
+    double *z)
 {
+    /* towards S, z */
     const unicycle_path_pair t0 = unicycle_path_sincos(in->q[2]);
     const double t1 = model->ahead * t0.cos;
     const double t2 = in->q[0] + t1;
@@ -1450,34 +1521,50 @@ static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicy
     const double t8 = t3 + t7;
     const double t9 = unicycle_path_sqrt(t8);
     const double t10 = t6 + t6;
+    /* towards z */
     const double t11 = t9 - in->radius;
+    /* towards S, z */
     const double t12 = t9 + t9;
     const double t13 = 1.0 / t12;
+    /* towards z */
     const double t14 = t11 * 2.0;
     const double t15 = in->u[0] - in->speed;
     const double t16 = t15 * 1.5;
     const double t17 = in->speed_dot - t16;
+    /* towards S, z */
     const double t18 = t0.cos * t4;
+    /* towards z */
     const double t19 = t0.cos * in->u[0];
+    /* towards S, z */
     const double t20 = t0.sin * t10;
     const double t21 = t18 + t20;
     const double t22 = t21 * t13;
+    /* towards z */
     const double t23 = t0.sin * in->u[0];
+    /* towards S */
     const double t24 = t22 * model->c1;
+    /* towards S, z */
     const double t25 = t1 * t10;
+    /* towards z */
     const double t26 = t1 * in->u[1];
     const double t27 = t23 + t26;
+    /* towards S, z */
     const double t28 = t5 * t4;
     const double t29 = t25 - t28;
     const double t30 = t13 * t29;
     const double t31 = t30 * model->c2;
+    /* towards z */
     const double t32 = t5 * in->u[1];
     const double t33 = t19 - t32;
+    /* towards S */
     const double t34 = t31 * model->c3;
+    /* towards z */
     const double t35 = t31 * in->u[1];
     const double t36 = 0.1 * t35;
+    /* towards S */
     const double t37 = t24 + t34;
     const double t38 = t24 - t34;
+    /* towards z */
     const double t39 = t4 * t33;
     const double t40 = t4 * t27;
     const double t41 = t10 * t27;
@@ -1577,7 +1664,8 @@ int unicycle_path_prepare(const unicycle_path_params *params, unicycle_path_mode
 int unicycle_path_psi(const unicycle_path_model *model, const unicycle_path_input *in, double *psi)
 {
     double new_psi[2];
-    if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
+    if (!(unicycle_path_finite(in->u + 1, 1) && unicycle_path_finite(&in->speed_dot, 1)
+            && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
         return unicycle_path_reason(UNICYCLE_PATH_NONFINITE, in);
     }
     unicycle_path_eval_psi(model, in, new_psi);
@@ -1591,7 +1679,9 @@ int unicycle_path_psi(const unicycle_path_model *model, const unicycle_path_inpu
 int unicycle_path_S(const unicycle_path_model *model, const unicycle_path_input *in, double *S)
 {
     double new_S[4];
-    if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1) && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1) && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
+    if (!(unicycle_path_finite(in->u, 2) && unicycle_path_finite(&in->speed, 1)
+            && unicycle_path_finite(&in->speed_dot, 1) && unicycle_path_finite(&in->radius, 1)
+            && unicycle_path_finite(&in->radius_dot, 1) && unicycle_path_finite(&in->radius_ddot, 1))) {
         return unicycle_path_reason(UNICYCLE_PATH_NONFINITE, in);
     }
     unicycle_path_eval_S(model, in, new_S);
@@ -1645,7 +1735,8 @@ int unicycle_path_pinv(const double *S, double *S_pinv, unicycle_path_info *info
     return unicycle_path_pinv_core(S, S_pinv, info);
 }
 
-int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau, unicycle_path_info *info)
+int unicycle_path_control(const unicycle_path_model *model, const unicycle_path_input *in, double *tau,
+    unicycle_path_info *info)
 {
     double S[4], z[2];
     int status;

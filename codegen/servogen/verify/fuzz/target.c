@@ -42,7 +42,7 @@ static void check_info(const pinv_info *info, int status)
     CHECK(status != PINV_NOT_CONVERGED && status != PINV_SINGULAR_MASS && (DAMPED || status != PINV_REGULARISED));
     CHECK(info->rank >= 0 && info->rank <= SMALLER);
     if (status < 0) {
-        CHECK(info->path == 0 && info->rank == 0 && info->sweeps == 0 && info->sigma_min == 0 && info->residual == 0);
+        CHECK(info->path == PINV_PATH_NONE && info->rank == 0 && info->sweeps == 0 && info->sigma_min == 0 && info->residual == 0);
     } else {
         CHECK(info->path >= PINV_PATH_CLOSED_FORM && info->path <= PINV_PATH_SVD);
         CHECK(info->sigma_min >= 0 && info->residual >= 0); /* infinite where the true value is beyond the type */
