@@ -43,13 +43,12 @@ def test_times_and_errors_are_what_they_should_be(found):
 def test_refinement_is_cut_and_nothing_else(tmp_path):
     plain, bare = (v for v in contenders.variants("float64") if v.prefix in ("qr", "qr_bare"))
     text = contenders.generate(3, 4, "float64", plain, tmp_path).read_text()
-    cut = contenders.generate(3, 4, "float64", bare, tmp_path).read_text()
+    bare = dataclasses.replace(bare, prefix=plain.prefix)  # a longer name would break lines elsewhere
+    cut = contenders.generate(3, 4, "float64", bare, tmp_path / "bare").read_text()
     assert "/* refined once" in text
     assert "/* refined once" not in cut
-    left = iter(text.lower().splitlines())
-    assert all(
-        line in left for line in cut.lower().replace("qr_bare", "qr").splitlines()
-    )  # lines are gone, and nothing else
+    left = iter(text.splitlines())
+    assert all(line in left for line in cut.splitlines())  # lines are gone, and nothing else
     assert len(cut.splitlines()) > len(text.splitlines()) - 30
 
 

@@ -36,3 +36,15 @@ def test_the_head_of_a_loop_and_a_single_long_name_stay() -> None:
     loop = f"    for (i = 0; i < 12 && {NAME}_{NAME}_{NAME}_{NAME}; ++i) {{"
     assert folded(loop) == loop
     assert folded("x" * 200) == "x" * 200
+
+
+def test_it_ends_whatever_the_line() -> None:
+    """A condition that has no place but in its indent, and a word of a comment as long as a line."""
+    for line in (
+        f"    if (!({'x' * 130})) {{",
+        f"    if (!({NAME}(a) && {'y' * 140} && {'z' * 140})) {{",
+        "    in.x = " + " + ".join(["t" * 70] * 5) + ";",
+        "    /* " + "w" * 150 + " and more words behind it */",
+        "/* " + "w" * 150 + " */",
+    ):
+        assert "".join(folded(line).split()) == "".join(line.split())

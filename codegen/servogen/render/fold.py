@@ -28,10 +28,14 @@ def folded(text: str) -> str:
         if len(line) <= LONGEST or line.lstrip().startswith("#error"):
             lines.append(line)
         elif in_comment or (line.lstrip().startswith("/*") and (starts or line.endswith("*/"))):
-            place = line.rfind(" ", 0, LONGEST + 1)
-            if line[place + 1 :] == "*/":
-                place = line.rfind(" ", 0, place)
             indent = re.match(r" *", line)[0] + ("" if in_comment else "   ")  # type: ignore[index]
+            place = line.rfind(" ", len(indent) + 3, LONGEST + 1)
+            if line[place + 1 :] == "*/":
+                place = line.rfind(" ", len(indent) + 3, place)
+            if place < 0:  # a single word as long as that
+                lines.append(line)
+                in_comment = starts or (in_comment and not ends)
+                continue
             lines.append(line[:place])
             over = indent + line[place + 1 :]
             if not ends and rest and re.match(rf"{indent}\w", rest[-1]):  # goes on with the words of the next line
@@ -52,7 +56,8 @@ def _broken(line: str) -> Iterator[str]:
     indent = re.match(r" *", line)[0]  # type: ignore[index]
     further = indent + ("        " if line.lstrip().startswith("if (") else "    ")
     while len(line) > LONGEST and not re.match(r" *(?:for|while) \(", line):
-        places = [found for found in _places(line) if len(indent) + 4 < found[2] <= LONGEST]
+        # behind the indent that the rest is given: else it would not be shorter
+        places = [found for found in _places(line) if len(further) < found[2] <= LONGEST]
         late = [found for found in places if found[2] > LONGEST // 3] or places
         if not places:
             break
