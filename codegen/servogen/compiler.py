@@ -153,7 +153,7 @@ def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTr
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
     lowered, model = lower_quantities(scene, quantities, mass), lower_model(scene)
     program = optimise_quantities(scene, quantities, mass, lowered, model)
-    return plan_functions(scene, quantities, mass, program, target)
+    return plan_functions(scene, quantities, program, target)
 
 
 def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own") -> Target:

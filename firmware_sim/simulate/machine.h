@@ -36,7 +36,7 @@ typedef struct {
 } sim_actuator;
 
 /* The n-th deviate of a stream, of mean 0 and variance 1: the sum of twelve uniform ones of 16 bits, less its mean.
-   Words: splitmix64 (Steele, Lea and Flood 2014) of a counter. Exact in both scalars. */
+   Words: splitmix64 (Steele, Lea and Flood (2014)) of a counter. Exact in both scalars. */
 real sim_normal(uint32_t seed, uint64_t n);
 
 /* What the sensors read at a tick. */

@@ -47,7 +47,9 @@ def test_controls_involved_rows_are_the_motion(seed: int, mass: str, n: int, m: 
     samples = motion.constraints_at(state, lambda s: start + s * rate)
     close(excess(motion, samples), system["A"] @ rate - system["B"].ravel())
     h, bends = 1e-5, np.zeros((m, l, l))
-    for (row, i, j), value in zip(formulation.curvature, system["curvature"].ravel(), strict=True):
+    for (row, i, j), value in zip(
+        formulation.law.routine("project").steps[0].places, system["curvature"].ravel(), strict=True
+    ):
         bends[row, i, j] = bends[row, j, i] = value
     for j in range(l):
         ahead, behind = (quantities(**(state | {"tau": start + s * h * np.eye(l)[j]}))["A"] for s in (1, -1))

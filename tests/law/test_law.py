@@ -7,12 +7,16 @@ from importlib.resources import files
 import casadi as ca
 import pytest
 import servogen as sg
+from servogen.compiler import compile_scene, target_for
 from servogen.derive.derive import derive
-from servogen.law.law import IllegalLawError, Law, Routine, check_legal, parse, shapes
+from servogen.law.law import IllegalLawError, Law, Routine, check_legal, of_the_state, parse, shapes
 from servogen.law.steps import STEPS, SYSTEM, Apply, Evaluate, Invert, Multiply, Project, React, Solve, row_of
 from servogen.plan.module import Target
 from servogen.plan.planner import plan_solver_only
 from servogen.verify.answers import ANSWERS
+from servogen.verify.exact_steps import EXACT
+from servogen.verify.truth import Truth, states_to_check
+from servogen.verify.vectors import ANY_ANSWER, ANY_STATUS
 from support.models import awkward_scenes, random_scene
 
 LAWS = [
@@ -116,3 +120,19 @@ def test_every_step_has_all_its_columns() -> None:
         row.word for row in STEPS.values()
     }
     assert len({row.word for row in STEPS.values()}) == len(STEPS)
+    assert set(EXACT) == set(ANSWERS)
+
+
+def test_steps_say_only_the_statuses_of_their_rows() -> None:
+    """At states of the domain and at boundary ones, NaN and huge numbers among them."""
+    for name in ("plain", "one_cubic", "everything"):
+        scene = awkward_scenes()[name]
+        module = compile_scene(scene, target_for(scene.name, "float64", None))
+        truth = Truth(scene, module, states_to_check(scene, 3)[0], 3)
+        for routine in module.law.routines:
+            if not of_the_state(routine):
+                continue
+            steps = [s for r in module.law.routines if r is routine or routine.name == "step" for s in r.steps]
+            told = {status for step in steps for status in row_of(step).statuses}
+            seen = {a.status for a in truth.answers(routine.name)} - {ANY_ANSWER, ANY_STATUS}
+            assert seen <= {0, *told}, (name, routine.name)

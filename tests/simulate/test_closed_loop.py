@@ -48,7 +48,7 @@ def test_an_event_stops_at_the_first_row_beyond(rail_loop):
     run = rail_loop.run()
     assert run.stop.event == "half way"
     assert run.stop.reason == "event"
-    assert not run.stop.failed
+    assert run.stop.status >= 0
     assert run.stop.t == run.t[-1]
     assert exact <= run.stop.t < exact + run.step
     assert run.q[-2, 0] < 0.5 <= run.q[-1, 0]
@@ -63,7 +63,7 @@ def test_a_stop_expression_that_is_no_number_is_a_failure(rail_loop):
     loop = ClosedLoop(rail_loop.scene, Simulation(stop={"log": ca.log(rail_loop.scene.mechanism.q) + 9}))
     run = loop.run(start={"q": -1.0})
     assert (run.stop.reason, run.stop.status, len(run.t)) == ("stop expression", sg.Status.OVERFLOW, 1)
-    assert run.stop.failed
+    assert run.stop.status < 0
 
 
 def test_a_plant_that_escapes_ends_the_run(escape_loop):

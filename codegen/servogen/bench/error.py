@@ -14,7 +14,7 @@ from servogen.law.steps import STATE
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.textbook.exact_steps import walk
+from servogen.verify.exact_steps import walk
 
 Truth = dict[Output, list[list[Any]]]
 """Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""

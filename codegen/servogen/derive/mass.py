@@ -29,14 +29,14 @@ def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple
     """X with Q X = right (Q^T X = right if transposed), and how it was found. right: SX, n_u x k."""
     Q = scene.mechanism.Q
     samples = sample(scene, Q)
-    _check_regular(scene, Q, samples)
+    _check_regular(Q, samples)
     X, mass = _solve(scene, Q, samples, right, transposed)
     return X, replace(mass, remarks=_remarks(samples[: _SAMPLES // 4]))  # at the default parameters
 
 
 def _solve(scene: Scene, Q: Any, samples: FloatArray, right: Any, transposed: bool) -> tuple[Any, MassTreatment]:
     diagonal = _is_diagonal(Q)
-    if not diagonal and not is_symmetric(scene, Q):
+    if not diagonal and not is_symmetric(Q):
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
     smallest = np.array([_smallest_eigenvalue(value) for value in samples])
     positive = bool(np.all(smallest > ZERO))
@@ -71,7 +71,7 @@ def _around_default(default: tuple[float, ...], count: int, seed: int) -> FloatA
     return np.asarray(np.array(default) * factors)
 
 
-def is_symmetric(scene: Scene, matrix: Any) -> bool:
+def is_symmetric(matrix: Any) -> bool:
     """Whether every pair of entries is one value number after optimisation: a proof, not a comparison of numbers."""
     n = matrix.size1()
     inputs = _symbols_as_inputs(matrix)
@@ -101,7 +101,7 @@ def _symbols_as_inputs(expression: Any) -> list[tuple[Input, Any]]:
     return [(Input(f"s{k}", 1), s) for k, s in enumerate(ca.symvar(expression))]
 
 
-def _check_regular(scene: Scene, Q: Any, samples: FloatArray) -> None:
+def _check_regular(Q: Any, samples: FloatArray) -> None:
     n = Q.size1()
     structural = ca.sprank(ca.sparsify(Q)) < n
     finite = [value for value in samples if np.all(np.isfinite(value))]

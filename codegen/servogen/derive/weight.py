@@ -22,7 +22,7 @@ def weigh(scene: Scene, mass: MassTreatment) -> Weight | None:
     W = scene.weight
     if W is None or is_identity(W):
         return None
-    if not is_symmetric(scene, W):
+    if not is_symmetric(W):
         raise SceneError("weight is not symmetric by proof; write W[j, i] as the same expression as W[i, j]")
     for value in sample(scene, W):
         if np.all(np.isfinite(value)) and not _positive_definite(value):

@@ -1,1 +1,1 @@
-"""The control half as a typed sequence of steps between the kernels of a scene."""
+"""What happens between the kernels of a scene, as typed steps."""

@@ -1,7 +1,8 @@
 """What a routine of a law is made of: one dataclass a step, and one row of STEPS that says what it means.
 
 The other columns of a step stand where their layer is, under the row's word: its C in render/templates/steps.c.j2, its
-operations in plan/costs.py, its answer to 50 digits in verify/answers.py. tests/law/test_steps.py holds them together.
+answer to 50 digits in verify/exact_steps.py and with its error bound in verify/answers.py, its cost in
+render/render.py. tests/law/test_law.py holds them together.
 """
 
 from collections.abc import Callable, Mapping
@@ -135,8 +136,8 @@ class Row:
     """What a step means beside its C and its exact answer.
 
     word: its name in print. reads: the names it needs. shape: of what it leaves in `into`, from the shapes of what it
-    reads; KeyError or ShapeError where these do not fit. statuses: what it may say. refuses: it tells by its own status
-    when something it reads is not finite, so that nobody need look before. says: the report's line.
+    reads; KeyError or ShapeError where these do not fit. statuses: what it may say beside OK. refuses: it tells by its
+    own status when something it reads is not finite, so that nobody need look before.
     """
 
     word: str
@@ -144,7 +145,6 @@ class Row:
     shape: Callable[[Any, Mapping[str, Shape]], Shape]
     statuses: tuple[Status, ...]
     refuses: bool
-    says: Callable[[Any], str]
 
 
 class ShapeError(ValueError):
@@ -212,7 +212,6 @@ STEPS: dict[type, Row] = {
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
         (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
         False,
-        lambda step: f"evaluate {', '.join(step.into)}",
     ),
     Solve: Row(
         "solve",
@@ -220,7 +219,6 @@ STEPS: dict[type, Row] = {
         _solved,
         (*_RANK, *_REFUSED),
         True,
-        lambda step: _answer_line(step, "solve"),
     ),
     Apply: Row(
         "apply",
@@ -228,7 +226,6 @@ STEPS: dict[type, Row] = {
         _solved,
         (*_RANK, Status.NONFINITE, Status.OVERFLOW),
         True,
-        lambda step: _answer_line(step, "the pseudo-inverse at hand"),
     ),
     React: Row(
         "react",
@@ -236,7 +233,6 @@ STEPS: dict[type, Row] = {
         _reacted,
         (*_RANK, *_REFUSED),
         False,
-        lambda step: f"{step.into} = {step.jacobian}^T {step.matrix}^+ {step.right}",
     ),
     Multiply: Row(
         "multiply",
@@ -244,7 +240,6 @@ STEPS: dict[type, Row] = {
         _multiplied,
         (Status.OVERFLOW,),
         True,
-        lambda step: f"{step.into} = {step.entries} {step.vector}",
     ),
     Invert: Row(
         "invert",
@@ -252,7 +247,6 @@ STEPS: dict[type, Row] = {
         lambda step, shapes: (shapes[step.matrix][1], shapes[step.matrix][0]),
         (*_RANK, *_REFUSED),
         True,
-        lambda step: f"{step.into} = {step.matrix}^+",
     ),
     Project: Row(
         "project",
@@ -260,7 +254,6 @@ STEPS: dict[type, Row] = {
         _projected,
         (*_RANK, *_REFUSED),
         False,
-        lambda step: f"{step.into} = the nearest to {step.of} with {step.value} = 0",
     ),
     Advance: Row(
         "advance",
@@ -268,7 +261,6 @@ STEPS: dict[type, Row] = {
         _advanced,
         (Status.NONFINITE, Status.OVERFLOW),
         True,
-        lambda step: f"{step.into} = {step.of} + {step.dt} {step.rate}",
     ),
     Call: Row(
         "call",
@@ -276,14 +268,8 @@ STEPS: dict[type, Row] = {
         _called,
         (),  # those of the routine
         True,
-        lambda step: f"{step.into} = {step.routine}" + (f" at {step.moved[0]} = {step.moved[1]}" if step.moved else ""),
     ),
 }
-
-
-def _answer_line(step: Solve | Apply, how: str) -> str:
-    inner = f"({step.right} - {step.matrix} {step.free})" if step.free else step.right
-    return f"{step.into} = {step.free + ' + ' if step.free else ''}{step.matrix}^+ {inner}, by {how}"
 
 
 def handed_out(step: Evaluate | Project) -> tuple[str, ...]:

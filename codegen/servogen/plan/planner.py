@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
 
-from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.formulation import Formulation, Quantity
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
@@ -149,9 +149,7 @@ def _solver_law(name: str, m: int, l: int) -> Law:
     return check_legal(Law(name, solvers=((SYSTEM, (m, l)),), routines=(solve, invert)))
 
 
-def plan_functions(
-    scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, optimised: SceneProgram, target: Target
-) -> Module:
+def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: SceneProgram, target: Target) -> Module:
     """One entry point that computes all quantities together: the plant of a simulation."""
     program = optimised.program
     staged = stage(program)

@@ -184,6 +184,8 @@ def _mujoco() -> ModuleType:
     except ImportError:
         raise ToolMissing("MuJoCo is not installed; pip install 'servogen[mujoco]'") from None
     assert isinstance(mujoco, ModuleType)
+    # MuJoCo writes its warnings into a log in the user's folder; `MujocoPlant.failed` reads their counters instead
+    mujoco.set_mju_user_warning(lambda _: None)
     return mujoco
 
 

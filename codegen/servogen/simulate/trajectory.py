@@ -28,11 +28,6 @@ class Stop:
     event: str = ""
     status: Status = Status.OK
 
-    @property
-    def failed(self) -> bool:
-        """Whether a negative status ended the run."""
-        return self.status < 0
-
     def __str__(self) -> str:
         if self.reason == "finished":
             return f"finished at t = {self.t:.6g} s"
@@ -101,12 +96,6 @@ class Trajectory:
         """(N,), the largest deviation from the prescribed decay at each row, as a share of its tolerance."""
         deviation = np.abs(self.constraint - self.ideal).astype(float)
         return np.asarray(np.max(deviation / self.claim.tolerance, axis=1)) if len(self.t) else np.zeros(0)
-
-    def off_decay(self, unit: str | None = None) -> str:
-        """constraint_error in words."""
-        error, t = self.constraint_error
-        told = with_unit(error, unit)
-        return f"{self.constraint_name} off its prescribed decay by at most {told}, at t = {t:.4g} s"
 
     @property
     def decay_error(self) -> dict[str, float]:

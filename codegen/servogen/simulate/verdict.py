@@ -179,10 +179,7 @@ def _limited(run: "Trajectory") -> Iterator[_Finding]:
         f"actuators held {names} back at a limit or a rate; so at {len(rows):,} of {len(run.t):,} rows (largest "
         f"control {_number(np.max(np.abs(run.tau)), run.claim.tau_units[largest])})"
     )
-    advice = (
-        "Ask for less: slower errors (Theta), slower references, a nearer start; or give the actuators more, or tell "
-        "the controller of their limits."
-    )
+    advice = "Ask for less: slower errors (Theta), slower references, a nearer start; or give the actuators more."
     yield _Finding(float(run.t[rows[0]]), "limited", told, advice)
 
 

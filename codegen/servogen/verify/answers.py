@@ -20,6 +20,7 @@ from servogen.results import FloatArray, Info, Status
 from servogen.singular import pseudo_solution
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy
+from servogen.verify.exact_steps import sparse_product, transposed_product
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK
 
 BAR = 8.0
@@ -110,9 +111,7 @@ def _react(step: React, at: Surroundings) -> Answer:
     force = solved(point, step.matrix, step.right, None, solver)
     if not force.known:
         return unknown(n, force.status if force.status < 0 else ANY_ANSWER, force.rank)
-    with mp.workdps(DIGITS):
-        J = [point.values[step.jacobian][n * i : n * (i + 1)] for i in range(m)]
-        R = [mp.fsum(J[i][c] * force.tau[i] for i in range(m)) for c in range(n)]
+    R = transposed_product(point.values[step.jacobian], force.tau)
     size, reach = norm(point.values[step.jacobian]), norm(force.tau)
     tolerance = size * force.tolerance + norm(point.bounds[step.jacobian]) * reach
     tolerance += (m + 1) * solver.epsilon * size * reach + m * float(np.finfo(solver.scalar).smallest_subnormal)
@@ -122,8 +121,7 @@ def _react(step: React, at: Surroundings) -> Answer:
 def _multiply(step: Multiply, at: Surroundings) -> Answer:
     """N x for an x that a step left."""
     x, entries = at.answers[step.vector], at.point.values[step.entries]
-    with mp.workdps(DIGITS):
-        tau = [mp.fsum(entries[e] * x.tau[j] for e, j in row) for row in step.pattern]
+    tau = sparse_product(entries, step.pattern, x.tau)
     size, reach = norm(entries), norm(x.tau)
     tolerance = size * x.tolerance + norm(at.point.bounds[step.entries]) * reach if x.tolerance < np.inf else np.inf
     epsilon = next(iter(at.policies.values())).epsilon

@@ -16,11 +16,11 @@ from servogen.package import Package
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
-from servogen.textbook.exact_steps import walk
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
 from servogen.verify.answers import BAR, rational
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
+from servogen.verify.exact_steps import walk
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.truth import Truth, states_to_check
 from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp

@@ -6,7 +6,7 @@ from typing import Any
 import mpmath as mp
 
 from servogen.ir.evaluate import DIGITS
-from servogen.law.steps import Evaluate, Multiply, React, Solve, Step
+from servogen.law.steps import Apply, Evaluate, Multiply, Pattern, React, Solve, Step
 
 Values = dict[str, list[Any]]
 
@@ -22,17 +22,29 @@ def _react(step: React, values: Values) -> list[Any]:
             force = mp.lu_solve(mp.matrix([entries[m * i : m * (i + 1)] for i in range(m)]), mp.matrix(right))
         except ZeroDivisionError:
             return [mp.nan] * n
+    return transposed_product(jacobian, list(force))
+
+
+def transposed_product(jacobian: list[Any], force: list[Any]) -> list[Any]:
+    """J^T force, J row by row."""
+    m, n = len(force), len(jacobian) // len(force)
+    with mp.workdps(DIGITS):
         return [mp.fsum(jacobian[n * i + c] * force[i] for i in range(m)) for c in range(n)]
 
 
-def _solve(step: Solve, values: Values) -> list[Any]:
+def sparse_product(entries: list[Any], pattern: Pattern, vector: list[Any]) -> list[Any]:
+    """N x for the nonzeros of N, placed by the pattern."""
+    with mp.workdps(DIGITS):
+        return [mp.fsum(entries[e] * vector[j] for e, j in row) for row in pattern]
+
+
+def _solve(step: Solve | Apply, values: Values) -> list[Any]:
     l = len(values[step.matrix]) // len(values[step.right])
     return minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [mp.mpf(0)] * l))
 
 
 def _multiply(step: Multiply, values: Values) -> list[Any]:
-    with mp.workdps(DIGITS):
-        return [mp.fsum(values[step.entries][e] * values[step.vector][j] for e, j in row) for row in step.pattern]
+    return sparse_product(values[step.entries], step.pattern, values[step.vector])
 
 
 def minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
@@ -51,7 +63,12 @@ def minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[
         return list(y + move)
 
 
-EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {React: _react, Solve: _solve, Multiply: _multiply}
+EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {
+    Solve: _solve,
+    Apply: _solve,
+    React: _react,
+    Multiply: _multiply,
+}
 """One function a step that works on what an evaluation left."""
 
 
