@@ -1,7 +1,7 @@
 """What arms do on MuJoCo's physics: python -m servogen.bench.mujoco_figures [--panda panda.urdf] [--choices].
 
-The figures of docs/singularity.md, for iiwa_position, iiwa_pose and a Panda at 1 kHz, 500 Hz and 200 Hz, each beside our
-own plant; past full reach and back; with --choices other y and W in their place. The Panda's URDF is that of the
+The figures of docs/singularity.md, for iiwa_position, iiwa_pose and a Panda at 1 kHz, 500 Hz and 200 Hz, each beside
+our own plant; past full reach and back; with --choices other y and W in their place. The Panda's URDF is that of the
 package example-robot-data. Files are taken without their joints' damping, which the scenes' models have not.
 """
 
