@@ -19,7 +19,7 @@ def test_what_python_prints(tmp_path) -> None:
     package = sg.build(scene, tmp_path)
     assert repr(package) == f"<Package cart (float64) in {tmp_path}: psi, S, z, S_z, pinv, control>"
     inputs = "inputs q (1), u (1), r (1), r_dot (1); parameters m, k>"
-    assert repr(package.load()) == f"<CompiledServo of 'cart', float64: {inputs}"
+    assert repr(package.load()) == f"<CompiledTwin of 'cart', float64: {inputs}"
     assert repr(sg.reference(scene)) == f"<ReferenceServo of 'cart', float64: {inputs}"
 
 

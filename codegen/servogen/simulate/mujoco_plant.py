@@ -50,8 +50,8 @@ class MujocoLoop(ClosedLoop):
             raise SceneError(
                 "MuJoCo's model is the plant: leave out plant and disturbance, and write them into the model"
             )
-        super().__init__(scene, simulation, scalar)
         self.plant = load_plant(scene, Path(model))
+        super().__init__(scene, simulation, scalar)
         self.differences = (*self.plant.remarks, *compare(scene, self.plant))
         fields = [*scene.input_fields(), *scene.parameters]
         if ca.depends_on(ca.densify(scene.mechanism.G), ca.vertcat(*(f.symbol for f in fields if f.name not in "qu"))):
