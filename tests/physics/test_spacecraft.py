@@ -135,7 +135,7 @@ def test_coarse_steps_lose_the_chatter_and_say_so(chattering):
     """RK4 at 1e-3 s loses K by 5 s, for the chatter outruns it; the run must end with a status, not with nonsense."""
     run = chattering.run(start=START, duration=10.0, step=1e-3)
     assert 0.05 < off_decay(run)[np.searchsorted(run.t, 5.0 - 1e-9)] < 1.0
-    assert run.stop.failed
+    assert run.stop.status < 0
     assert run.stop.reason == "controller"
     assert run.stop.t == run.t[-1]
     assert np.all(np.isfinite(run.u))

@@ -5,12 +5,15 @@ linkers do not always drop them.
 """
 
 import re
+from collections import Counter
 
 _FUNCTION = re.compile(
     r"(?:^/\*(?:[^*]|\*(?!/))*\*/\n)?"  # the comment right above it
     r"^static [^;{}=#]*?\b(?P<name>\w+)\([^;{}]*\)\n\{\n(?:.*\n)*?\}\n\n?",
     re.MULTILINE,
 )
+
+_WORD = re.compile(r"\w+")
 
 _CONSTANT = re.compile(r"^#define (?P<name>\w+)(?: .*[^\\])?\n", re.MULTILINE)
 
@@ -23,8 +26,8 @@ def without_unused(text: str) -> str:
 def _without_constants(text: str) -> str:
     """Less every #define of a name that appears in its definitions alone."""
     while True:
-        defined = [m["name"] for m in _CONSTANT.finditer(text)]
-        unused = {name for name in defined if len(re.findall(rf"\b{name}\b", text)) == defined.count(name)}
+        named, defined = _words(text), Counter(m["name"] for m in _CONSTANT.finditer(text))
+        unused = {name for name, count in defined.items() if named[name] == count}
         if not unused:
             return text
         for found in reversed([m for m in _CONSTANT.finditer(text) if m["name"] in unused]):
@@ -32,14 +35,16 @@ def _without_constants(text: str) -> str:
 
 
 def _without_functions(text: str) -> str:
+    """Less every static function that nothing outside its own text, and the comment above it, names."""
     while True:
-        unused = [f for f in _FUNCTION.finditer(text) if len(re.findall(rf"\b{f['name']}\b", text)) == _own(f)]
+        named = _words(text)
+        unused = [f for f in _FUNCTION.finditer(text) if named[f["name"]] == _words(f[0])[f["name"]]]
         if not unused:
             return text
         for found in reversed(unused):
             text = text[: found.start()] + text[found.end() :]
 
 
-def _own(function: re.Match[str]) -> int:
-    """How often a function's own text has its name: once, but for a comment about it."""
-    return len(re.findall(rf"\b{function['name']}\b", function[0]))
+def _words(text: str) -> Counter[str]:
+    """How often each word stands there: counted once, for packages have thousands of lines."""
+    return Counter(_WORD.findall(text))
