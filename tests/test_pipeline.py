@@ -159,7 +159,7 @@ def test_failure_no_such_scene(tmp_path: Path) -> None:
         command("generate", "triple_pendulum", cwd=tmp_path),
         "error:",
         "triple_pendulum",
-        "double_pendulum_energy",
+        "did you mean double_pendulum_ideal?",
         ".py",
     )
 
