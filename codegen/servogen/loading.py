@@ -79,7 +79,7 @@ def _not_found(spec: str, file: Path) -> str:
     """No such scene: a slip of the pen in a name or in a file's, or a list of what there is."""
     close = difflib.get_close_matches(spec, builtin_names(), 1)
     if close:
-        return f"no scene {spec!r}; did you mean {close[0]}? (servogen list shows the built-in ones)"
+        return f"no scene {spec!r}; did you mean {close[0]}? (servogen list shows all; yours is path/to/file.py)"
     if not file.parent.is_dir():
         return f"no file {file}: there is no folder {file.parent}"
     close = difflib.get_close_matches(file.name, [f.name for f in file.parent.glob("*.py")], 1)
