@@ -131,7 +131,7 @@ def _law_context(module: Module) -> dict[str, Any]:
         "sizes": {name: rows * columns for name, (rows, columns) in shapes(law).items()},
         "word": _word,
         "of_the_state": of_the_state,
-        "refused_behind": lambda routine: all(row_of(step).refuses for step in routine.steps[1:]),
+        "refused_behind": _refused_behind,
         "prefix_of": lambda solver: prefix if solver == SYSTEM else f"{prefix}_{solver}",
         "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
         "printed_once": _printed_once(law),
@@ -139,6 +139,11 @@ def _law_context(module: Module) -> dict[str, Any]:
         "tells_failure": any(r.info and r.evaluated() for r in law.routines),
         "checked": _checked(module),
     }
+
+
+def _refused_behind(routine: Routine) -> bool:
+    """Whether what a routine evaluates first is looked at by the steps behind it, which refuse what is not finite."""
+    return all(row_of(step).refuses for step in routine.steps[1:])
 
 
 def _word(step: Step) -> str:
@@ -202,7 +207,7 @@ def _checked(module: Module) -> list[Kernel]:
     kernels: list[Kernel] = []
     for routine in module.law.routines:
         for step in routine.steps:
-            if isinstance(step, Evaluate) and not all(row_of(s).refuses for s in routine.steps[1:]):
+            if isinstance(step, Evaluate) and not _refused_behind(routine):
                 kernels.append(module.kernel(step.into))
             elif isinstance(step, Project) and not step.curvature:
                 kernels.append(module.kernel(step.quantities))

@@ -12,6 +12,7 @@ import numpy as np
 
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
+from servogen.twins.compiled import c_real
 
 SUM_STATUSES, SUM_CONTROLS = 8, 12
 """As in firmware_sim/simulate/summary.h."""
@@ -89,15 +90,11 @@ def _library(content: bytes) -> ct.CDLL:
         return ct.CDLL(str(file))
 
 
-def _real(scalar: Scalar) -> Any:
-    return ct.c_double if scalar == "float64" else ct.c_float
-
-
 def setup_struct(scalar: Scalar) -> Any:
     """<prefix>_setup."""
     names = ("parameters", "plant", "q", "u", "tau", "given", "limit", "slew", "keep", "mean", "noise", "quantum")
     fields: list[tuple[str, Any]] = [(n, ct.c_void_p) for n in names]
-    fields += [(n, _real(scalar)) for n in ("step", "tick")]
+    fields += [(n, c_real(scalar)) for n in ("step", "tick")]
     fields += [(n, ct.c_uint32) for n in ("substeps", "steps", "row_every", "tick_every", "delay", "seed")]
     fields += [(n, ct.c_int) for n in ("method", "hold", "frugal", "project")]
     fields += [(n, ct.c_void_p) for n in ("physics", "world")]
@@ -106,7 +103,7 @@ def setup_struct(scalar: Scalar) -> Any:
 
 def stop_struct(scalar: Scalar) -> Any:
     """sim_stop."""
-    fields = [("reason", ct.c_int), ("detail", ct.c_int), ("t", _real(scalar))]
+    fields = [("reason", ct.c_int), ("detail", ct.c_int), ("t", c_real(scalar))]
     return type("Stop", (ct.Structure,), {"_fields_": fields})
 
 

@@ -22,6 +22,7 @@ from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.simulation import Simulation, known_symbols
 from servogen.simulate.trajectory import Trajectory
 from servogen.tools import ToolMissing
+from servogen.twins.compiled import c_real
 
 SAME = 1e-9
 """Two models agree where they differ by less, relative to the largest entry."""
@@ -79,7 +80,7 @@ class MujocoLoop(ClosedLoop):
         """MuJoCo's steps as a C function that the generated loop calls."""
         arrays, world = setup.arrays, self.plant
         world.start(setup.reals["step"] / setup.numbers["substeps"], *(arrays[x].astype(float) for x in ("q", "u")))
-        real = ct.c_double if self.scalar == "float64" else ct.c_float
+        real = c_real(self.scalar)
         constant = np.array(self._G(0, 0)) if self.scene.mechanism.G.is_constant() else None
 
         def advance(_: Any, h: float, tau: Any, x: Any) -> int:

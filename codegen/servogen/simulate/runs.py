@@ -56,9 +56,9 @@ class Runs:
         """name -> quantiles of the runs that have rows: each row's error and end, each control's largest magnitude."""
         some = np.isfinite(self.share)
         named: list[tuple[str, FloatArray]] = [
-            (f"{n}: off its decay", self.error[:, k]) for k, n in _each(self.claim.rows)
+            (f"{n}: off its decay", self.error[:, k]) for k, n in enumerate(self.claim.rows)
         ]
-        named += [(f"{n}: at the end", self.end[:, k]) for k, n in _each(self.claim.rows)]
+        named += [(f"{n}: at the end", self.end[:, k]) for k, n in enumerate(self.claim.rows)]
         named += [(f"largest |tau[{k}]|", self.tau[:, k]) for k in range(self.tau.shape[1])]
         return {n: np.quantile(v[some], shares) if some.any() else np.full(len(shares), np.nan) for n, v in named}
 
@@ -83,10 +83,6 @@ class Runs:
             away = float(spearmanr(np.abs(value - middle[k]), self.share[some]).statistic)
             found[name] = signed if abs(signed) >= abs(away) else away
         return dict(sorted(found.items(), key=lambda pair: -abs(np.nan_to_num(pair[1]))))
-
-
-def _each(rows: Sequence[str]) -> list[tuple[int, str]]:
-    return list(enumerate(rows))
 
 
 def runs_of(

@@ -87,12 +87,13 @@ def _shape(module: Module) -> dict[str, int]:
     return {"m": m, "l": l, "ml": m * l}
 
 
-def _real(scalar: Scalar) -> Any:
+def c_real(scalar: Scalar) -> Any:
+    """The C type of a scalar."""
     return ct.c_double if scalar == "float64" else ct.c_float
 
 
 def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
-    real = _real(scalar)
+    real = c_real(scalar)
     members: list[tuple[str, Any]] = [(f.name, real * f.size if f.size > 1 else real) for f in fields]
     return type(name, (ct.Structure,), {"_fields_": members or [("none", ct.c_char)]})
 
@@ -109,7 +110,7 @@ def _model_struct(module: Module) -> Any:
 
 
 def _info_struct(scalar: Scalar) -> Any:
-    real = _real(scalar)
+    real = c_real(scalar)
     integers = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
     return type("info", (ct.Structure,), {"_fields_": [*integers, ("sigma_min", real), ("residual", real)]})
 
@@ -193,7 +194,7 @@ class CompiledTwin(Twin):
         info = self._info_type()
         before: list[Any] = [ct.byref(self._model), ct.byref(self._input(inputs))]
         if entry == "step":
-            before.append(_real(self.scalar)(dt))
+            before.append(c_real(self.scalar)(dt))
         self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
         return Control(value, _read_info(info))
 
