@@ -7,6 +7,7 @@ from typing import Any
 from servogen.law.steps import (
     STATE,
     STEPS,
+    Advance,
     Apply,
     Call,
     Evaluate,
@@ -74,6 +75,10 @@ class Law:
         """All steps, routine by routine."""
         for routine in self.routines:
             yield from routine.steps
+
+    def advanced(self) -> tuple[str, ...]:
+        """The inputs that steps move along their rates: what a controller carries from tick to tick."""
+        return tuple(dict.fromkeys(s.of.removeprefix(STATE) for s in self.steps() if isinstance(s, Advance)))
 
     def matrix_of(self, solver: str) -> str:
         """The name of the quantity that a solver is given. KeyError where none of its steps names one."""
