@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from servogen.errors import SceneError
 from servogen.law.law import Law, Routine, of_the_state, shapes
 from servogen.law.steps import (
+    STATE,
     STEPS,
     SYSTEM,
     Apply,
@@ -150,17 +151,13 @@ def _word(step: Step) -> str:
     return row_of(step).word
 
 
-_WITH_FUNCTIONS = {"react", "project"}
-"""Steps whose C is more than a call: what it calls is printed before the first routine that takes them."""
-
-
 def _printed_once(law: Law) -> dict[str, list[Step]]:
-    """By routine, the steps before which their functions are printed."""
-    told: set[str] = set()
+    """By routine, the steps that no routine before it takes: what their C calls is printed ahead of it."""
+    told: set[Step] = set()
     found: dict[str, list[Step]] = {}
     for routine in law.routines:
-        found[routine.name] = [s for s in routine.steps if _word(s) in _WITH_FUNCTIONS - told]
-        told |= {_word(s) for s in routine.steps}
+        found[routine.name] = [s for s in routine.steps if s not in told]
+        told |= set(routine.steps)
     return found
 
 
@@ -315,8 +312,9 @@ def _solving(module: Module, routine: Routine) -> dict[str, Any]:
 
 
 def _skipped(module: Module, routine: Routine) -> list[str]:
-    affine = any(isinstance(step, Project) and not step.curvature for step in routine.steps)
-    return [*module.skipped.get(routine.name, ()), *(["iteration: phi is affine in tau"] if affine else [])]
+    affine = [step for step in routine.steps if isinstance(step, Project) and not step.curvature]
+    reasons = [f"iteration: {step.value} is affine in {step.of.removeprefix(STATE)}" for step in affine]
+    return [*module.skipped.get(routine.name, ()), *reasons]
 
 
 def _sum(a: dict[str, int], b: dict[str, int]) -> dict[str, int]:
