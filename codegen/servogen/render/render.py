@@ -26,7 +26,7 @@ from servogen.law.steps import (
     row_of,
 )
 from servogen.plan.known import known_operations
-from servogen.plan.module import Kernel, Module, cost_of
+from servogen.plan.module import Module, cost_of
 from servogen.plan.solver import BITS, PLAIN, solver_context, solver_operations
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
@@ -107,7 +107,6 @@ def _context(module: Module) -> dict[str, Any]:
             "cost": lambda program: cost_of(program.operations()),
             "prepare_cost": cost_of(module.prepare.program.operations()),
             "solver_cost": _solver_cost(module),
-            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in module.kernels)),
             "statements": partial(statements, scalar=scalar, own=own),
             "pieces": partial(pieces, scalar=scalar, own=own),
             "pieces_anywhere": any(k.chunks for k in module.kernels),
@@ -136,9 +135,6 @@ def _law_context(module: Module) -> dict[str, Any]:
         "prefix_of": lambda solver: prefix if solver == SYSTEM else f"{prefix}_{solver}",
         "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
         "printed_once": _printed_once(law),
-        "emit": _emitted(module),
-        "tells_failure": any(r.info and r.evaluated() for r in law.routines),
-        "checked": _checked(module),
     }
 
 
@@ -184,31 +180,6 @@ def _shim(module: Module) -> dict[str, Any]:
         for k, (struct, f) in enumerate(fields)
     ]
     return {"arguments": arguments, "answer": module.system.answer}
-
-
-def _emitted(module: Module) -> dict[str, bool]:
-    """Which functions of the system's solver the package calls; no other is printed."""
-    steps = [s for s in module.law.steps() if getattr(s, "solver", None) == SYSTEM]
-    at_hand = any(isinstance(step, Apply) for step in steps)
-    bent = any(isinstance(step, Project) and step.curvature for step in steps)
-    in_prepare = module.known is not None and module.known.when == "prepare"
-    return {
-        "solve": any(isinstance(step, Solve | Project) for step in steps),
-        "pinv": bent or in_prepare or any(isinstance(step, Invert) for step in steps),
-        "known": at_hand,
-    }
-
-
-def _checked(module: Module) -> list[Kernel]:
-    """The kernels whose results are looked at before a step of the law takes them, for it would not refuse them."""
-    kernels: list[Kernel] = []
-    for routine in module.law.routines:
-        for step in routine.steps:
-            if isinstance(step, Evaluate) and not _refused_behind(routine):
-                kernels.append(module.kernel(step.into))
-            elif isinstance(step, Project) and not step.curvature:
-                kernels.append(module.kernel(step.quantities))
-    return kernels
 
 
 def _title(module: Module) -> str:
