@@ -165,9 +165,9 @@ class CompiledTwin(Twin):
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
         status = Status(function(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
+        matrices = {f.name for f in self.scene.system.functions if len(f.shape) == 2}
         shaped = (
-            o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
-            for o, r in zip(outputs, results, strict=True)
+            o.reshape(r.rows, r.columns) if r.name in matrices else o for o, r in zip(outputs, results, strict=True)
         )
         return status, tuple(shaped)
 
@@ -189,12 +189,11 @@ class CompiledTwin(Twin):
         self._function("pinv")(ct.c_void_p(S.ctypes.data), ct.c_void_p(inverse.ctypes.data), ct.byref(info))
         return inverse, _read_info(info)
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
         value = last.copy()
         info = self._info_type()
         before: list[Any] = [ct.byref(self._model), ct.byref(self._input(inputs))]
-        if entry == "step":
-            before.append(c_real(self.scalar)(dt))
+        before += [c_real(self.scalar)(number) for number in numbers]
         self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
         return Control(value, _read_info(info))
 

@@ -15,22 +15,7 @@ from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
-
-_OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
-"""Functions that need no model."""
-
-_QUANTITIES = {
-    "psi": "The constraints' values, shape (m,).",
-    "S": "psi_u Q^-1 G, shape (m, l), Eq. (8).",
-    "z": "-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9).",
-    "R": "The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17).",
-    "T": "[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26).",
-    "F": "[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26).",
-    "phi": "The constraints' values, shape (m,).",
-    "A": "phi_tau, shape (m, l), Eq. (39).",
-    "B": "Right side of A tau' = B, shape (m,), Eq. (40).",
-}
-"""What a twin's functions return, by name; which of them a scene has, its system says."""
+from servogen.scene.system import SYSTEMS, Function
 
 
 class Twin(ABC):
@@ -71,32 +56,35 @@ class Twin(ABC):
 
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
-        if name in _QUANTITIES:
-            if name in self.scene.system.quantities:
-                return self._function_of(name)
+        if not any(system.function(name) for system in SYSTEMS.values()):
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        offered = self.scene.system.function(name)
+        if offered is None:
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
-        if name in ("project", "step") and self.scene.system.tau_is_state:
-            return self._project_ if name == "project" else self._step_
-        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return self._answering(offered) if offered.controls else self._evaluating(offered)
 
     def __dir__(self) -> list[str]:
-        moving = ["project", "step"] if self.scene.system.tau_is_state else []
-        return [*super().__dir__(), *self.scene.system.quantities, *moving]
+        return [*super().__dir__(), *(f.name for f in self.scene.system.functions)]
 
-    def _function_of(self, name: str) -> Callable[..., FloatArray]:
+    def _evaluating(self, offered: Function) -> Callable[..., FloatArray]:
         def quantity(**inputs: Any) -> FloatArray:
-            return self._evaluate(name, self.read_inputs(inputs, name))
+            return self._evaluate(offered.name, self.read_inputs(inputs, offered.name))
 
-        quantity.__name__, quantity.__doc__ = name, _QUANTITIES[name]
+        quantity.__name__, quantity.__doc__ = offered.name, offered.text
         return quantity
 
-    def _project_(self, *, last: Any = None, **inputs: Any) -> Control:
-        """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs, "project"), self._last(last))
+    def _answering(self, offered: Function) -> Callable[..., Control]:
+        def answer(*given: float, last: Any = None, **inputs: Any) -> Control:
+            named = dict(zip(offered.arguments, given, strict=False))
+            named |= {n: inputs.pop(n) for n in offered.arguments[len(given) :] if n in inputs}
+            if len(named) < len(offered.arguments) or len(given) > len(offered.arguments):
+                wanted = ", ".join(offered.arguments) or "no number"
+                raise TypeError(f"{offered.name} takes {wanted} before the inputs, which go by keyword")
+            numbers = [float(named[n]) for n in offered.arguments]
+            return self._control(offered.name, self.read_inputs(inputs, offered.name), self._last(last), *numbers)
 
-    def _step_(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
-        """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs, "step"), self._last(last), float(dt))
+        answer.__name__, answer.__doc__ = offered.name, offered.text
+        return answer
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
@@ -135,7 +123,8 @@ class Twin(ABC):
 
     def _needed(self, function: str) -> tuple[str, ...]:
         """Those of q and u without which a function has no meaning."""
-        return self._states["constraints" if function in _OF_CONSTRAINTS_ALONE else "scene"]
+        offered = self.scene.system.function(function)
+        return self._states["constraints" if offered is not None and offered.of_constraints else "scene"]
 
     @cached_property
     def _states(self) -> dict[str, tuple[str, ...]]:
@@ -161,7 +150,7 @@ class Twin(ABC):
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]: ...
 
     @abstractmethod
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control: ...
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control: ...
 
     @abstractmethod
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray: ...
