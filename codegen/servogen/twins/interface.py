@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
-from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
+from servogen.results import STATUS_MEANING, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
+from servogen.twins.batch import States, read_states
 
 _OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
 """Functions that need no model."""
@@ -40,12 +41,16 @@ class Twin(ABC):
     that the scene uses (psi, phi, A and project: that its constraints use); other inputs left out take their default
     (references) or zero (t, tau, y). Functions that are not a scene's own (S for a controls-involved scene, say) are
     AttributeErrors. Matrices have shape (rows, columns), vectors (rows,); NaN where the code leaves outputs untouched.
+
+    Each function has another for N states at once, `control_batch`, `S_batch`, ...: inputs have shape (N, size), or
+    (size,) where all states share them, and parameters likewise; results have N in front.
     """
 
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
         self.scene = scene
         self.scalar = scalar
         self.dtype = np.dtype(scalar)
+        self._controls = scene.controls  # here, for CasADi takes longer to tell than a control takes
         status = self.prepare()
         if status < 0:
             raise SceneError(
@@ -61,7 +66,11 @@ class Twin(ABC):
             if name not in fields:
                 raise TypeError(f"prepare: no parameter {name!r}; there are {', '.join(fields) or 'none'}")
             values[name] = _sized(given, fields[name].size, name)
-        return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
+        everything = {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+        status = self._prepare(everything)
+        if status >= 0:
+            self._prepared = everything
+        return status
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{f.name} ({f.size})" for f in self.scene.input_fields())
@@ -71,32 +80,51 @@ class Twin(ABC):
 
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
-        if name in _QUANTITIES:
-            if name in self.scene.system.quantities:
-                return self._function_of(name)
+        quantity = name.removesuffix("_batch")
+        if quantity in _QUANTITIES:
+            if quantity in self.scene.system.quantities:
+                return self._function_of(name) if name == quantity else self._batch_of(quantity)
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
-        if name in ("project", "step") and self.scene.system.tau_is_state:
-            return self._project_ if name == "project" else self._step_
+        moving = {"project": self._project_, "step": self._step_}
+        moving |= {"project_batch": self._project_batch_, "step_batch": self._step_batch_}
+        if name in moving and self.scene.system.tau_is_state:
+            return moving[name]
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def __dir__(self) -> list[str]:
-        moving = ["project", "step"] if self.scene.system.tau_is_state else []
-        return [*super().__dir__(), *self.scene.system.quantities, *moving]
+        names = [*self.scene.system.quantities, *(["project", "step"] if self.scene.system.tau_is_state else [])]
+        return [*super().__dir__(), *names, *(f"{n}_batch" for n in names)]
 
     def _function_of(self, name: str) -> Callable[..., FloatArray]:
         def quantity(**inputs: Any) -> FloatArray:
-            return self._evaluate(name, self.read_inputs(inputs, name))
+            return self._evaluate(name, self._read(inputs, name))
 
         quantity.__name__, quantity.__doc__ = name, _QUANTITIES[name]
         return quantity
 
+    def _batch_of(self, name: str) -> Callable[..., FloatArray]:
+        def quantities(*, threads: int | None = None, **arrays: Any) -> FloatArray:
+            return self._evaluate_batch(name, self.read_batch(arrays, name), threads)
+
+        quantities.__name__ = f"{name}_batch"
+        quantities.__doc__ = f"At N states, the first axis of what is returned: {_QUANTITIES[name]}"
+        return quantities
+
     def _project_(self, *, last: Any = None, **inputs: Any) -> Control:
         """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs, "project"), self._last(last))
+        return self._control("project", self._read(inputs, "project"), self._last(last))
 
     def _step_(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
         """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs, "step"), self._last(last), float(dt))
+        return self._control("step", self._read(inputs, "step"), self._last(last), float(dt))
+
+    def _project_batch_(self, *, last: Any = None, threads: int | None = None, **arrays: Any) -> Batch:
+        """`project` at N states."""
+        return self._answers("project", arrays, last, threads)
+
+    def _step_batch_(self, dt: float, *, last: Any = None, threads: int | None = None, **arrays: Any) -> Batch:
+        """`step` by one dt at N states."""
+        return self._answers("step", arrays, last, threads, float(dt))
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
@@ -108,7 +136,35 @@ class Twin(ABC):
 
     def control(self, *, last: Any = None, **inputs: Any) -> Control:
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
-        return self._control("control", self.read_inputs(inputs, "control"), self._last(last))
+        return self._control("control", self._read(inputs, "control"), self._last(last))
+
+    def control_batch(self, *, last: Any = None, threads: int | None = None, **arrays: Any) -> Batch:
+        """`control` at N states: the same bits as one by one, whatever the number of threads (None: one a core).
+
+        Inputs: (N, size), or (N,) of one number; (size,) where all states share it. Parameters may be given likewise,
+        and hold for this call alone: each state is then prepared, those left out as they were prepared last. Arrays of
+        the twin's type whose rows lie together are read where they are. last: (l,) or (N, l).
+        """
+        return self._answers("control", arrays, last, threads)
+
+    def _answers(
+        self, entry: str, arrays: dict[str, Any], last: Any, threads: int | None, dt: float | None = None
+    ) -> Batch:
+        states = self.read_batch(arrays, entry)
+        shape = (states.count, self._controls)
+        value = np.zeros(shape, self.dtype)
+        if last is not None:
+            given = np.asarray(last, dtype=float)
+            if given.shape not in (shape, shape[1:]):
+                raise ValueError(f"last has shape {given.shape}; it must have {shape[1:]} or {shape}")
+            value[:] = given
+        return self._control_batch(entry, states, value, threads, dt)
+
+    def read_batch(self, arrays: dict[str, Any], function: str) -> States:
+        """The states of a batch. TypeError where a state that the function needs is missing, or a name is unknown."""
+        self._refuse_missing(arrays, function)
+        known = ("q", "u", "t", "tau", "y")
+        return read_states(arrays, self._fields, known, self._prepared, self.dtype, f"{function}_batch")
 
     @cached_property
     def _fields(self) -> dict[str, Field]:
@@ -127,11 +183,20 @@ class Twin(ABC):
             if name not in sizes:
                 raise TypeError(f"{function}: no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
             values[name] = _sized(value, sizes[name], name)
-        missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
+        self._refuse_missing(values, function)
+        return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+
+    def _read(self, given: dict[str, Any], function: str) -> Any:
+        """Inputs as this twin's functions take them."""
+        return self.read_inputs(given, function)
+
+    def _refuse_missing(self, given: dict[str, Any], function: str) -> None:
+        missing = [f"{n} ({self._fields[n].text})" for n in self._needed(function) if n not in given]
         if missing:
             told, verb = " and ".join(missing), "are" if missing[1:] else "is"
-            raise TypeError(f"{function}: {told} of scene {scene.name!r} {verb} left out; give every state by keyword")
-        return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+            raise TypeError(
+                f"{function}: {told} of scene {self.scene.name!r} {verb} left out; give every state by keyword"
+            )
 
     def _needed(self, function: str) -> tuple[str, ...]:
         """Those of q and u without which a function has no meaning."""
@@ -151,8 +216,9 @@ class Twin(ABC):
         return {"constraints": used(constraints), "scene": used(list(parts.values()))}
 
     def _last(self, last: Any) -> FloatArray:
-        value = np.zeros(self.scene.controls) if last is None else _sized(last, self.scene.controls, "last")
-        return value.astype(self.dtype)
+        if last is None:
+            return np.zeros(self._controls, self.dtype)
+        return _sized(last, self._controls, "last").astype(self.dtype)
 
     @abstractmethod
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status: ...
@@ -161,10 +227,18 @@ class Twin(ABC):
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]: ...
 
     @abstractmethod
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control: ...
+    def _control(self, entry: str, inputs: Any, last: FloatArray, dt: float = 0.0) -> Control: ...
 
     @abstractmethod
-    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray: ...
+    def _evaluate(self, name: str, inputs: Any) -> FloatArray: ...
+
+    @abstractmethod
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, dt: float | None
+    ) -> Batch: ...
+
+    @abstractmethod
+    def _evaluate_batch(self, name: str, states: States, threads: int | None) -> FloatArray: ...
 
 
 def refusal(status: Status) -> Info:

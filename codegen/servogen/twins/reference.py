@@ -1,7 +1,7 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
-from servogen.results import Control, FloatArray, Info, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.domain import draw_states
@@ -20,6 +20,7 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy, policy_for
+from servogen.twins.batch import States
 from servogen.twins.interface import Twin, finite, refusal
 
 _WITHOUT_MASS = {"psi", "phi", "A"}
@@ -144,10 +145,13 @@ class ReferenceTwin(Twin):
 
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         status, result = self.system(inputs, name)
+        shape = self._shape(name)
+        return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
+
+    def _shape(self, name: str) -> tuple[int, ...]:
         n = self.scene.mechanism.u.size1()
         shapes = dict.fromkeys("SA", self.scene.system_shape) | {"T": (n, n), "F": (n,), "R": (n,)}
-        shape = shapes.get(name, (self.scene.rows,))
-        return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
+        return shapes.get(name, (self.scene.rows,))
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
         inverse, info = pseudo_inverse.pinv(self._round(matrix), self._policy)
@@ -171,6 +175,36 @@ class ReferenceTwin(Twin):
         if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
             return Control(last, refusal(Status.OVERFLOW))
         return Control(np.asarray(tau).astype(self.dtype), info)
+
+    def _each(self, states: States) -> Iterator[tuple[int, Status, dict[str, FloatArray]]]:
+        """One state after the other, with what prepare says of its parameters; then those of before hold again."""
+        try:
+            for k in range(states.count):
+                inputs, parameters = states.one(k)
+                yield k, self._prepare(parameters) if parameters else Status.OK, inputs
+        finally:
+            if states.parameters:
+                self._prepare(self._prepared)
+
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, dt: float | None
+    ) -> Batch:
+        infos = []
+        for k, status, inputs in self._each(states):
+            answer = Control(value[k], refusal(status))
+            if status >= 0:
+                answer = self._control(entry, inputs, value[k], 0.0 if dt is None else dt)
+            value[k] = answer.value
+            infos.append(answer.info)
+        types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
+        columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
+        return Batch(value, *columns)
+
+    def _evaluate_batch(self, name: str, states: States, threads: int | None) -> FloatArray:
+        shape = self._shape(name)
+        refused = np.full(shape, np.nan, self.dtype)
+        rows = [self._evaluate(name, given) if ok >= 0 else refused for _, ok, given in self._each(states)]
+        return np.array(rows, self.dtype).reshape(states.count, *shape)
 
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
