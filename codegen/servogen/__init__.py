@@ -8,7 +8,7 @@ from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
 from servogen.package import Package
 from servogen.remarks import Remark
-from servogen.results import Control, Info, Path, Status
+from servogen.results import Batch, Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
@@ -22,6 +22,7 @@ __version__ = VERSION
 
 __all__ = [
     "Actuators",
+    "Batch",
     "Control",
     "ControlsInvolved",
     "Holonomic",
