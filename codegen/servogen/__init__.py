@@ -6,6 +6,7 @@ The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints B
 from servogen import urdf
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
+from servogen.fmu.unit import build_fmu
 from servogen.package import Package
 from servogen.remarks import Remark
 from servogen.results import Batch, Control, Info, Path, Status
@@ -43,6 +44,7 @@ __all__ = [
     "Status",
     "__version__",
     "build",
+    "build_fmu",
     "build_solver",
     "reference",
     "urdf",
