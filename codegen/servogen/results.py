@@ -46,6 +46,16 @@ class Path(IntEnum):
     SVD = 4
 
 
+PATH_MEANING: dict[Path, str] = {
+    Path.NONE: "by none, for the call was refused",
+    Path.PRECOMPUTED: "the matrix does not depend on the state: inverted at generation, or by prepare",
+    Path.CLOSED_FORM: "one row or one column",
+    Path.NORMAL: "normal equations, certified and refined",
+    Path.QR: "pivoted QR, certified and refined",
+    Path.SVD: "singular value decomposition",
+}
+
+
 @dataclass(frozen=True)
 class Info:
     """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau."""

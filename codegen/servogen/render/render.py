@@ -24,15 +24,16 @@ from servogen.law.steps import (
     handed_out,
     row_of,
 )
-from servogen.plan.known import known_operations
 from servogen.plan.module import Kernel, Module, cost_of
-from servogen.plan.solver import BITS, PLAIN, solver_context, solver_operations
+from servogen.plan.operations import known_operations, solver_operations
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
+from servogen.render.solver import PLAIN, solver_context
 from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
+from servogen.scalars import BITS
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
 
@@ -115,7 +116,7 @@ def _context(module: Module) -> dict[str, Any]:
             "reads": reads,
             "initialiser": partial(_initialiser, scalar=scalar),
             "info_type": f"{module.target.prefix}_info",
-            "in_prepare": module.known.kernel if module.known else None,
+            "in_prepare": module.known_matrix.kernel if module.known_matrix else None,
             "free": module.free,
             "named": _named(module),
             "solved": _solved_by(module, SYSTEM),
@@ -194,7 +195,7 @@ def _emitted(module: Module) -> dict[str, bool]:
     steps = [s for s in module.law.steps() if getattr(s, "solver", None) == SYSTEM]
     at_hand = any(isinstance(step, Apply) for step in steps)
     bent = any(isinstance(step, Project) and step.curvature for step in steps)
-    in_prepare = module.known is not None and module.known.when == "prepare"
+    in_prepare = module.known_matrix is not None and module.known_matrix.when == "prepare"
     return {
         "solve": any(isinstance(step, Solve | Project) for step in steps),
         "pinv": bent or in_prepare or any(isinstance(step, Invert) for step in steps),
@@ -238,7 +239,7 @@ def _initialiser(values: tuple[float, ...], scalar: str) -> str:
 def _solver_cost(module: Module) -> str:
     if module.solver is None:
         return "none"
-    if module.known is not None:
+    if module.known_matrix is not None:
         total = known_operations(module.solver, module.free is not None)["apply"]["total"]
         return f"{total} operations, no factorisation"
     costs = solver_operations(module.solver)
@@ -261,7 +262,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     }
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
-        manifest["solver"]["known"] = module.known.when if module.known else None
+        manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
     if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}

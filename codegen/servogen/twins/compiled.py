@@ -100,7 +100,7 @@ def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
 
 def _model_struct(module: Module) -> Any:
     """<prefix>_model: its fields, and the matrix known in prepare with its pseudo-inverse and info."""
-    if module.known is None or module.known.when == "generation":
+    if module.known_matrix is None or module.known_matrix.when == "generation":
         return _struct("model", module.model, module.target.scalar)
     assert module.solver is not None
     size = module.solver.m * module.solver.l

@@ -9,7 +9,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import matrix
-from servogen.scene.known import Gauge, KnownRates
+from servogen.scene.known_rates import Gauge, KnownRates
 from servogen.scene.mechanism import Mechanism
 from servogen.urdf import dynamics, placement
 from servogen.urdf.base import FLOATING_Q, FLOATING_TAU, FLOATING_U, fixed_base, floating_base, rate_map
@@ -112,7 +112,7 @@ class Robot:
         C = rate_map(self._base, self.q[3:7], n) if base else None
         Q, P = self._mass_matrix(), -self._forces(self._motion)
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
-        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known,
+        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known_rates=self._known,
                          skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:

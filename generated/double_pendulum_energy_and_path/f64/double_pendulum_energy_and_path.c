@@ -1082,8 +1082,8 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f,
     const double *restrict r, double *restrict x, int careful)
 {

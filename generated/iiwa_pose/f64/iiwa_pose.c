@@ -1290,8 +1290,8 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_pose_qr_apply(const iiwa_pose_qr *f, const double *restrict r, double *restrict x, int careful)
 {
     const iiwa_pose_line *const p_0 = f->at[0];

@@ -1001,8 +1001,8 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32_qr *f, const float *restrict r,
     float *restrict x, int careful)
 {

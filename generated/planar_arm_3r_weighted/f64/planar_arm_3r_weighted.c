@@ -1032,8 +1032,8 @@ static int planar_arm_3r_weighted_consistent(const double *S, const double *z, c
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_weighted_qr_apply(const planar_arm_3r_weighted_qr *f, const double *restrict r,
     double *restrict x, int careful)
 {

@@ -966,8 +966,8 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {

@@ -1091,8 +1091,8 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {

@@ -1017,8 +1017,8 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
