@@ -62,6 +62,11 @@ class Runs:
         named += [(f"largest |tau[{k}]|", self.tau[:, k]) for k in range(self.tau.shape[1])]
         return {n: np.quantile(v[some], shares) if some.any() else np.full(len(shares), np.nan) for n, v in named}
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the quantities of `quantiles`, in their order."""
+        return (*self.claim.row_units, *self.claim.row_units, *self.claim.tau_units)
+
     def worst(self, count: int = 5) -> list[int]:
         """Indices of the worst runs: those that were not held first, the largest share of the tolerance first."""
         share = np.nan_to_num(self.share, nan=np.inf, posinf=np.inf)
