@@ -127,5 +127,6 @@ def _word(run: Any, reasons: Mapping[int, str], events: Sequence[str]) -> str:
     event = events[int(run["detail"])] if reason == "event" else ""
     status = Status.OK if reason in ("event", "finished") else Status(int(run["detail"]))
     first = {n: None if run[n] < 0 else int(run[n]) for n in ("left", "inconsistent", "limited", "off")}
-    growing = bool(grows(float(run["third"]), float(run["last"])))
-    return word_of(Outline(int(run["rows"]), **first, growing=growing, end=word_of_end(reason, event, status)))
+    rows = int(run["rows"])
+    growing = grows(float(run["third"]), float(run["last"]), rows)
+    return word_of(Outline(rows, **first, growing=growing, end=word_of_end(reason, event, status)))
