@@ -9,7 +9,7 @@ from servogen.errors import SceneError
 from servogen.fmu.unit import build_fmu
 from servogen.package import Package
 from servogen.remarks import Remark
-from servogen.results import Control, Info, Path, Status
+from servogen.results import Batch, Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
@@ -23,6 +23,7 @@ __version__ = VERSION
 
 __all__ = [
     "Actuators",
+    "Batch",
     "Control",
     "ControlsInvolved",
     "Holonomic",
