@@ -39,7 +39,7 @@ def rail(rail_loop) -> ClosedLoop:
 
 @pytest.mark.parametrize("machine", list(MACHINES))
 def test_they_are_what_single_runs_are(rail, machine):
-    """To the last bit: errors, torques, statuses; and verdicts, which are found by another hand."""
+    """To the last bit: errors, torques, statuses; and verdicts, whose facts are found by another hand."""
     options = MACHINES[machine]
     many = rail.runs(COUNT, seed=5, **options)
     singles = [rail.run(replay=seed, **options) for seed in range(5, 5 + COUNT)]

@@ -42,10 +42,9 @@ def runs_summary(runs: Runs) -> dict[str, Any]:
 def show_runs(runs: Runs, machine: str, files: Sequence[Path]) -> None:
     """The same for a person."""
     header = ("quantity", *("largest" if q == 1 else f"{100 * q:g} %" for q in QUANTILES))
-    units = (*runs.claim.row_units, *runs.claim.row_units, *runs.claim.tau_units)
     rows = [
         (escape(f"{name} [{unit}]") if unit else name, *(f"{x:.4g}" for x in values))
-        for unit, (name, values) in zip(units, runs.quantiles().items(), strict=True)
+        for unit, (name, values) in zip(runs.units, runs.quantiles().items(), strict=True)
     ]
     count = len(runs.words)
     table(f"{runs.scene}: {_runs(count)} in {runs.seconds:.3g} s", header, rows, right=range(1, len(header)))

@@ -67,6 +67,11 @@ class Runs:
         named += [(f"largest |tau[{k}]|", self.tau[:, k]) for k in range(self.tau.shape[1])]
         return {n: np.quantile(v[some], shares) if some.any() else np.full(len(shares), np.nan) for n, v in named}
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the quantities of `quantiles`, in their order."""
+        return (*self.claim.row_units, *self.claim.row_units, *self.claim.tau_units)
+
     def worst(self, count: int = 5) -> list[int]:
         """Indices of the worst runs: those that were not held first, the largest share of the tolerance first."""
         share = np.nan_to_num(self.share, nan=np.inf, posinf=np.inf)
@@ -129,5 +134,6 @@ def _word(run: Any, reasons: Mapping[int, str], events: Sequence[str]) -> str:
     event = events[int(run["detail"])] if reason == "event" else ""
     status = Status.OK if reason in ("event", "finished") else Status(int(run["detail"]))
     first = {n: None if run[n] < 0 else int(run[n]) for n in ("left", "inconsistent", "limited", "off")}
-    growing = bool(grows(float(run["third"]), float(run["last"])))
-    return word_of(Outline(int(run["rows"]), **first, growing=growing, end=word_of_end(reason, event, status)))
+    rows = int(run["rows"])
+    growing = grows(float(run["third"]), float(run["last"]), rows)
+    return word_of(Outline(rows, **first, growing=growing, end=word_of_end(reason, event, status)))
