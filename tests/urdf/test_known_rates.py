@@ -17,8 +17,10 @@ GAINS: dict[str, Any] = {"Theta1": -2.0, "Theta2": -3.0}
 def derived(scene: sg.Scene) -> Any:
     formulation = derived_scene(scene)[0]
     fields = scene.input_fields()
-    function = ca.Function("derived", [f.symbol for f in fields], [formulation[n] for n in ("psi", "S", "z")])
-    return lambda state: [np.array(x) for x in function(*(state[f.name] for f in fields))]
+    symbols = [f.symbol for f in (*fields, *scene.parameters)]
+    defaults = [ca.DM(f.default) for f in scene.parameters]
+    function = ca.Function("derived", symbols, [formulation[n] for n in ("psi", "S", "z")])
+    return lambda state: [np.array(x) for x in function(*(state[f.name] for f in fields), *defaults)]
 
 
 def compare(scene: sg.Scene, states: list[dict[str, Any]], tolerance: float = 1e-9) -> None:
