@@ -75,28 +75,6 @@ def compile_scene(
     return plan(formulation, program, target, noise, _checked(entry_points, formulation))
 
 
-def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:
-    """Names of functions that the scene has; SceneError for others."""
-    if entry_points is None:
-        return None
-    names = [entry_points] if isinstance(entry_points, str) else list(entry_points)
-    there = offered(formulation.law)
-    for name in names:
-        if name not in there:
-            raise SceneError(f"entry_points: {name!r} is no function of this scene; there are {', '.join(there)}")
-    if not names:
-        raise SceneError(f"entry_points: none given; choose from {', '.join(there)}, or leave it out for all")
-    return names
-
-
-def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:
-    """Per row of the scene's system, the noise of its code; None where the user says what counts as zero."""
-    if scene.solver.atol is not None:
-        return None
-    formulation, optimised = optimised_scene(scene, without)
-    return survey_noise(draw_samples(scene), optimised.program, formulation.factorised, scalar)
-
-
 def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
     return _optimised_once(scene, without)  # a cache takes a default left out and the same one given for two calls
@@ -120,6 +98,14 @@ def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
     remarks = found.remarks + survey_reach(samples, formulation, lowered)
     told = tuple(f"scene {scene.name!r}: {text}" for text in remarks)
     return replace(formulation, remarks=told), lowered
+
+
+def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:
+    """Per row of the scene's system, the noise of its code; None where the user says what counts as zero."""
+    if scene.solver.atol is not None:
+        return None
+    formulation, optimised = optimised_scene(scene, without)
+    return survey_noise(draw_samples(scene), optimised.program, formulation.factorised, scalar)
 
 
 def build_solver(
@@ -191,3 +177,17 @@ def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own"
         raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
     default = name if scalar == "float64" else f"{name}_f32"
     return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"), math)
+
+
+def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:
+    """Names of functions that the scene has; SceneError for others."""
+    if entry_points is None:
+        return None
+    names = [entry_points] if isinstance(entry_points, str) else list(entry_points)
+    there = offered(formulation.law)
+    for name in names:
+        if name not in there:
+            raise SceneError(f"entry_points: {name!r} is no function of this scene; there are {', '.join(there)}")
+    if not names:
+        raise SceneError(f"entry_points: none given; choose from {', '.join(there)}, or leave it out for all")
+    return names

@@ -7,11 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_simulation
 from servogen.simulate.claim import claim_of, entry_units
 from servogen.simulate.closed_loop import ClosedLoop, simulate
 from servogen.simulate.trajectory import Stop
 from servogen.simulate.verdict import judge
+from servogen.simulate.wanted import load_simulation
 
 
 def inverted(domain: object = None) -> sg.Scene:

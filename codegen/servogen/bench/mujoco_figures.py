@@ -17,7 +17,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servogen.loading import load_simulation
 from servogen.results import FloatArray
 from servogen.scene.constraints import Holonomic
 from servogen.scene.scene import Scene
@@ -28,6 +27,7 @@ from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 from servogen.urdf.load import load
 from servogen.urdf.robot import Robot
 

@@ -18,7 +18,6 @@ from servogen.compiler import build, optimised_scene
 from servogen.derive.formulation import Quantity
 from servogen.derive.lower import lower_quantities
 from servogen.ir.program import Program
-from servogen.loading import load_simulation
 from servogen.optimise.passes import optimise
 from servogen.package import Package
 from servogen.report.drawing import Drawing, draw_motion
@@ -37,6 +36,7 @@ from servogen.simulate.methods import MethodRun, NotSmooth, draw_methods, measur
 from servogen.simulate.plots import narrow_figures, write_plots
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
+from servogen.simulate.wanted import load_simulation
 from servogen.verify.check import CheckReport, check
 
 BOARD = "cortex-m4"
