@@ -26,7 +26,7 @@ from servogen.report.inline import inline_svg
 from servogen.report.sparsity import kinds, picture
 from servogen.report.stages import Skipped, Stage
 from servogen.scalars import EPSILON
-from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
 from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
@@ -42,8 +42,6 @@ from servogen.verify.check import CheckReport, check
 BOARD = "cortex-m4"
 """The emulated board of the report."""
 
-STATES_OF_A_BOX = 200
-"""States from which the domain of a scene that draws its own is read off."""
 
 _OF_THE_CONSTRAINT = "Constraint error, and its prescribed decay"
 
@@ -240,7 +238,7 @@ def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
         return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
 
     rows = [Symbol(f.name, "parameter", numbers(f.default), f.unit, f.text) for f in scene.parameters]
-    for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_BOX)).items():
+    for name, (low, high) in draw_samples(scene).box.items():
         f = next(f for f in scene.input_fields() if f.name == name)
         kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
         unit = f.unit or units.get(name, "")

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.results import FloatArray
-from servogen.scene.domain import draw_states
+from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene, State
 
 EXAMINED = 32
@@ -37,6 +37,11 @@ class Samples:
     parameters: State
     judged: State
     searched: State
+
+    @property
+    def box(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """name -> (lowest, highest) entries of each input in the domain."""
+        return domain_box(self.scene, self.searched)
 
     def values(self, expression: Any) -> FloatArray:
         """An SX of inputs and parameters at the states examined: array (EXAMINED, rows, columns)."""

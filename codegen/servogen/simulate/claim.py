@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from servogen.results import FloatArray
 from servogen.scene.constraints import Constraint, expression_of
-from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.domain import draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
 from servogen.simulate.ideal import value_at
 from servogen.simulate.simulation import Simulation, known_symbols
@@ -34,7 +35,7 @@ SAMPLED = 1e-2
 omega, the fastest eigenvalue of Theta in 1/s, is the rate at which a prescribed error itself moves within one."""
 
 STATES_OF_A_CLAIM = 200
-"""States of the domain by which a callable's box and psi's size are read off."""
+"""States of the domain by which psi's size is read off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +126,7 @@ def _ranges(
     scene: Scene, simulation: Simulation, angle: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, dict[str, str]]:
     """Ends of each entry of q and u, and by "q" and "u" who says so."""
-    box = domain_box(scene, draw_states(scene, STATES_OF_A_CLAIM))
+    box = draw_samples(scene).box
     lows, highs, sources = [], [], {}
     for name in ("q", "u"):
         size = getattr(scene.mechanism, name).size1()

@@ -26,7 +26,6 @@ from servogen.ir.program import Program, only
 from servogen.ir.rounding import local_errors
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.domain import domain_box
 from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene, State
 
@@ -146,10 +145,9 @@ def _zeros(samples: Samples, program: Program, matrix: str) -> tuple[_Rows, Numb
 
     All in float64: a zero lies where it lies, whatever the number type of the generated code.
     """
-    rows, drawn = _Rows(samples.scene, program, matrix), samples.searched
-    box = domain_box(samples.scene, drawn)
-    low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in box.items()}) for side in (0, 1))
-    starts = rows.pick(drawn)[:STARTS]
+    rows = _Rows(samples.scene, program, matrix)
+    low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in samples.box.items()}) for side in (0, 1))
+    starts = rows.pick(samples.searched)[:STARTS]
     row, x = np.repeat(np.arange(rows.count), STARTS), np.tile(starts, (rows.count, 1))
     size = np.max(np.abs(rows.at(row, x)[0]), axis=1, initial=0.0)
     known = [size[(row == i) & np.isfinite(size)] for i in range(rows.count)]
