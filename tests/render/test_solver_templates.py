@@ -8,7 +8,7 @@ import jinja2
 import pytest
 from servogen.plan.solver import plan_solver
 from servogen.render.literals import literal
-from servogen.render.solver import solver_context
+from servogen.render.solver_context import solver_context
 from servogen.results import Path as SolverPath
 from servogen.results import Status
 from servogen.scene.solver import Solver

@@ -11,10 +11,10 @@ import pytest
 import servogen as sg
 from scipy.linalg import expm
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop, simulate
 from servogen.simulate.machine import MOST_DELAY, Grid, grid_of, machine_in_words
 from servogen.simulate.trajectory import rows_that_differ
+from servogen.simulate.wanted import load_simulation
 from servogen.tools import firmware_sim
 
 FREE = {"duration": 0.5, "step": 0.05, "hold": True}

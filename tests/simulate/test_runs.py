@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.robustness import write_robustness
 from servogen.simulate.runs import QUANTILES
+from servogen.simulate.wanted import load_simulation
 
 COUNT = 24
 MACHINES = {

@@ -9,7 +9,7 @@ import click
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
 from servogen.fmu.unit import build_fmu, write_fmu
-from servogen.loading import builtin_names, load_scene, load_simulation, scene_summary
+from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
@@ -18,6 +18,7 @@ from servogen.scene.scene import Scene
 from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
+from servogen.simulate.wanted import load_simulation
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."

@@ -14,7 +14,6 @@ from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, prog
 from servogen.cli.generate import scalar_option
 from servogen.cli.runs import runs_summary, show_runs
 from servogen.errors import SceneError
-from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
@@ -27,6 +26,7 @@ from servogen.simulate.robustness import write_robustness
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.verdict import Verdict
+from servogen.simulate.wanted import load_simulation
 from servogen.verify.harness import targets
 
 
