@@ -29,11 +29,12 @@ from servogen.report.stages import Skipped, Stage
 from servogen.scalars import EPSILON
 from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
+from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.drawing import motion_of
 from servogen.simulate.export import write_csv
+from servogen.simulate.methods import MethodRun, NotSmooth, draw_methods, measure, methods_figure
 from servogen.simulate.plots import narrow_figures, write_plots
-from servogen.simulate.precision import NotSmooth, Precision, draw_precision, measure, precision_figure
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
 from servogen.verify.check import CheckReport, check
@@ -44,9 +45,10 @@ BOARD = "cortex-m4"
 STATES_OF_A_BOX = 200
 """States from which the domain of a scene that draws its own is read off."""
 
-CAPTIONS = {
-    "psi": "Constraint error, and its prescribed decay",
-    "phi": "Constraint error, and its prescribed decay",
+_OF_THE_CONSTRAINT = "Constraint error, and its prescribed decay"
+
+CAPTIONS: dict[str, str] = {
+    **{system.constraint: _OF_THE_CONSTRAINT for system in SYSTEMS.values()},
     "controls": "Controls",
     "states": "Configuration and velocity",
     "outputs": "Outputs",
@@ -220,8 +222,8 @@ class SceneWork:
             points = measure(self._scene, self._simulation, duration, steps)
         except NotSmooth as why:
             raise Skipped(str(why)) from why
-        draw_precision(name, duration, points, self._work.folder / "precision")
-        drawn = inline_svg(precision_figure(duration, points), "run time against error", f"{name}-precision")
+        draw_methods(name, duration, points, self._work.folder / "precision")
+        drawn = inline_svg(methods_figure(duration, points), "run time against error", f"{name}-precision")
         return LoopPrecision(
             Figure(drawn, "Each mark a step size, its run time against its error"), _single(points, duration)
         )
@@ -272,7 +274,7 @@ def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], .
     return (*rows, ("what would have ended it", watched or "nothing but the time"))
 
 
-def _single(points: Sequence[Precision], duration: float) -> str:
+def _single(points: Sequence[MethodRun], duration: float) -> str:
     """The best of all step sizes and methods, in either scalar."""
     best = {scalar: [p.error for p in points if p.scalar == scalar] for scalar in EPSILON}
     if not all(best.values()):

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
-from servogen.compiler import reference
+from servogen.compiler import optimised_scene, reference
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
@@ -23,7 +23,7 @@ from servogen.simulate.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Precision:
+class MethodRun:
     """One run: seconds its C took (the best of three), and the largest error of q and u at its end, absolute."""
 
     scalar: Scalar
@@ -71,7 +71,7 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
     moving = moving_references(scene, simulation, t)
     course = ca.Function("course", [t], list(moving.values()))
     nq, nu = mech.q.size1(), mech.u.size1()
-    controls = scene.system.tau_is_state
+    advances = bool(optimised_scene(scene)[0].law.advanced())  # the answer is tau', and tau a state
 
     evaluations = 0
 
@@ -86,16 +86,16 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
         q, u = x[:nq], x[nq : nq + nu]
         moved = course.call([ca.DM(now)])
         held = given | {n: np.array(v).ravel() for n, v in zip(moving, moved, strict=True)}
-        inputs = {"q": q, "u": u, "t": now, **held} | ({"tau": x[nq + nu :]} if controls else {})
+        inputs = {"q": q, "u": u, "t": now, **held} | ({"tau": x[nq + nu :]} if advances else {})
         answer = twin.control(**inputs).value
-        tau = x[nq + nu :] if controls else answer
+        tau = x[nq + nu :] if advances else answer
         q_dot, Q, P, G = (
             np.array(v, dtype=float) for v in plant.call([q, u, now, *(held[f.name] for f in fields), *defaults])
         )
         u_dot = np.linalg.solve(Q, P.ravel() + G @ tau)
-        return np.concatenate([q_dot.ravel(), u_dot, *([answer] if controls else [])])
+        return np.concatenate([q_dot.ravel(), u_dot, *([answer] if advances else [])])
 
-    x0 = np.concatenate([start.q[0], start.u[0], *([start.tau[0]] if controls else [])]).astype(float)
+    x0 = np.concatenate([start.q[0], start.u[0], *([start.tau[0]] if advances else [])]).astype(float)
     with np.errstate(all="ignore"):  # trial steps may go anywhere
         done = solve_ivp(rate, (0.0, duration), x0, method="DOP853", rtol=1e-12, atol=1e-14)
     end: FloatArray = done.y[: nq + nu, -1]
@@ -108,7 +108,7 @@ def measure(
     duration: float,
     steps: Sequence[float],
     scalars: Sequence[Scalar] = tuple(EPSILON),
-) -> tuple[Precision, ...]:
+) -> tuple[MethodRun, ...]:
     """Every step size with every method and scalar, of the model's own loop: a machine's flaws have no exact solution.
 
     Runs that end early are left out. Raises NotSmooth.
@@ -127,13 +127,13 @@ def measure(
                     runs.append(run.seconds)
                 if run.stop.reason == "finished":
                     last = np.concatenate([run.q[-1], run.u[-1]]).astype(float)
-                    found.append(Precision(scalar, method, run.step, min(runs), float(np.max(np.abs(last - end)))))
+                    found.append(MethodRun(scalar, method, run.step, min(runs), float(np.max(np.abs(last - end)))))
     return tuple(found)
 
 
-def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem: Path) -> Path:
+def draw_methods(scene: str, duration: float, found: Sequence[MethodRun], stem: Path) -> Path:
     """Run time against error, both logarithmic; one curve a method and scalar. Returns the PNG."""
-    figure = precision_figure(duration, found, (7.2, 4.2), 11)
+    figure = methods_figure(duration, found, (7.2, 4.2), 11)
     figure.suptitle(f"{scene}: closed loop, run time against error", fontsize=11, x=0.02, ha="left")
     file = stem.with_suffix(".png")
     with matplotlib.rc_context({"svg.hashsalt": "servogen"}):
@@ -142,10 +142,10 @@ def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem
     return file
 
 
-def precision_figure(
-    duration: float, found: Sequence[Precision], size: tuple[float, float] = (4.0, 3.2), font: float = 9
+def methods_figure(
+    duration: float, found: Sequence[MethodRun], size: tuple[float, float] = (4.0, 3.2), font: float = 9
 ) -> Figure:
-    """The curves of draw_precision without a title; size in inches, font in points."""
+    """The curves of draw_methods without a title; size in inches, font in points."""
     marks = {"rk4": "o", "dop8": "s"}
     colours = {"float64": "#0072B2", "float32": "#D55E00"}
     with matplotlib.rc_context({"font.size": font, "legend.frameon": False}):
