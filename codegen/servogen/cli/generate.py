@@ -8,12 +8,15 @@ import click
 
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
+from servogen.errors import SceneError
 from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.system import System
+
+CORE = "servogen_core"
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."
@@ -51,7 +54,7 @@ def _in_words(system: System) -> str:
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True)
 @scalar_option
 @prefix_option
 @math_option
@@ -63,31 +66,49 @@ def _in_words(system: System) -> str:
 )
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @click.option(
+    "--core",
+    is_flag=True,
+    help=f"What controllers can share (info, solvers, sin, cos, sqrt) goes into ./{CORE}/, or --out DIR's, beside the "
+    "packages' folders; every package generated there with --core adds what it needs.",
+)
+@click.option(
     "--entry-points",
     metavar="NAMES",
     help="Only these C functions, as control or S,z, with prepare and what they call; default all of the scene's.",
 )
 @json_option
 def generate(
-    scene: str,
+    scenes: tuple[str, ...],
     scalar: Scalar,
     prefix: str | None,
     math: Math,
     out: Path | None,
     plant: bool,
     casadi_abi: bool,
+    core: bool,
     entry_points: str | None,
     as_json: bool,
 ) -> None:
-    """Generate the C of SCENE, by default into ./<prefix>/."""
-    loaded = load_scene(scene)
-    folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
+    """Generate the C of each SCENE, by default into ./<prefix>/.
+
+    Of several scenes, and with --core, --out DIR is the folder that holds the packages' folders.
+    """
+    if prefix is not None and len(scenes) > 1:
+        raise SceneError(f"--prefix {prefix}: one prefix cannot name {len(scenes)} packages; generate them one by one")
     names = None if entry_points is None else [name.strip() for name in entry_points.split(",") if name.strip()]
-    packages = [build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi, entry_points=names)]
-    if plant:
-        own = f"{packages[0].prefix}_plant"
-        packages.append(build_plant(loaded, folder / "plant", scalar, own, math=math))
-    _report(packages, as_json)
+    several = len(scenes) > 1 or core
+    found = []
+    for scene in scenes:
+        loaded = load_scene(scene)
+        own = Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
+        folder = (out or Path()) / own if several else out or own
+        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names}
+        packages = [build(loaded, folder, scalar, prefix, core=CORE if core else None, **options)]
+        if plant:
+            name = f"{packages[0].prefix}_plant"
+            packages.append(build_plant(loaded, folder / "plant", scalar, name, math=math))
+        found.append(packages)
+    _report(found, as_json)
 
 
 @click.command()
@@ -101,17 +122,23 @@ def generate(
 def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], as_json)
+    _report([[build_solver(m, l, folder, scalar, prefix=prefix, math=math)]], as_json)
 
 
-def _report(packages: Sequence[Package], as_json: bool) -> None:
-    """The first package; in JSON the second, a plant, stands beside it."""
+def _report(found: Sequence[Sequence[Package]], as_json: bool) -> None:
+    """Of each scene the package; in JSON the second, a plant, stands beside it, and several scenes are a list."""
     if as_json:
-        told = [{"path": p.path, "manifest": p.manifest} for p in packages]
-        emit_json(told[0] | ({"plant": told[1]} if len(told) > 1 else {}))
+        told = [_in_json(*packages) for packages in found]
+        emit_json(told if len(told) > 1 else told[0])
         return
-    for package in packages:
+    for package in (p for packages in found for p in packages):
         _show(package)
+
+
+def _in_json(package: Package, plant: Package | None = None) -> dict[str, Any]:
+    told: dict[str, Any] = {"path": package.path, "manifest": package.manifest}
+    told |= {} if package.core is None else {"core": package.core}
+    return told if plant is None else told | {"plant": _in_json(plant)}
 
 
 def _show(package: Package) -> None:
@@ -126,6 +153,8 @@ def _show(package: Package) -> None:
         out.print(f"  skipped  {reason}", markup=False)
     for file in sorted([*package.manifest["files"], "manifest.json"]):
         out.print(f"  wrote    {package.path / file}", markup=False, soft_wrap=True)
+    for file in sorted(package.core.iterdir()) if package.core is not None else ():
+        out.print(f"  shared   {file}", markup=False, soft_wrap=True)
 
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
