@@ -34,7 +34,7 @@ def cosine(q: Any) -> tuple[Any, Any]:
 
 
 def test_a_cosine_has_the_noise_of_its_angle() -> None:
-    """Half an ulp of pi/2, and the rounding of a value that is zero: between u and 4 u."""
+    """Half an ulp of pi/2, and the rounding of a value that is zero: between eps and 4 eps."""
     (found,) = atol(scene_of(cosine))
     assert U * np.pi / 2 < found <= 4 * U
     assert np.log2(found) % 1 == 0

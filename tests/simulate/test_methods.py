@@ -7,7 +7,7 @@ import pytest
 import servogen as sg
 from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.precision import measure, tight_end
+from servogen.simulate.methods import measure, tight_end
 
 
 @pytest.fixture(scope="module")

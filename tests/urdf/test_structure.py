@@ -21,7 +21,7 @@ from support.robots import A1, IIWA, IIWA_TOOL
 
 def test_operations_of_the_iiwa() -> None:
     """S and z, the test of the pivots apart, with constant gains and a reference without rates."""
-    robot = sg.urdf.load(IIWA, quiet=True)
+    robot = sg.urdf.load(IIWA, quiet=True, damping=None)
     ref = sg.References(r=[0.5, 0.0, 0.6])
     psi = robot.position(IIWA_TOOL) - ref.r
     scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
@@ -35,7 +35,7 @@ def test_operations_of_the_built_in_scene() -> None:
     The inverse mass as weight, the arm's weight carried, damping and stiffness cost 3 % more than S and z alone.
     """
     module = scene_module("iiwa_position")
-    plain = sg.build(module.scene_of(sg.urdf.load(IIWA, quiet=True))).manifest
+    plain = sg.build(module.scene_of(sg.urdf.load(IIWA, quiet=True, damping=None))).manifest
     assert plain["entry_points"]["S_z"]["operations"]["total"] <= 1100
     manifest = Path(__file__).parents[2] / "generated" / "iiwa_position" / "f64" / "manifest.json"
     assert json.loads(manifest.read_text())["entry_points"]["control"]["operations"]["total"] <= 1120
@@ -52,7 +52,7 @@ def test_adams_model_of_the_iiwa_loses_most_of_its_operations(need_module: Calla
 
 
 def test_a_rotor_costs_no_sine() -> None:
-    robot = sg.urdf.load(IIWA, quiet=True)
+    robot = sg.urdf.load(IIWA, quiet=True, damping=None)
     assert not ca.depends_on(ca.vertcat(ca.vec(robot.mechanism.Q), robot.mechanism.P), robot.q[6])
 
 

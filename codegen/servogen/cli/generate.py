@@ -9,12 +9,16 @@ import click
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
 from servogen.errors import SceneError
-from servogen.loading import builtin_names, load_scene, scene_summary
+from servogen.fmu.unit import build_fmu, write_fmu
+from servogen.loading import builtin_names, load_scene, load_simulation, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
+from servogen.scene.scene import Scene
 from servogen.scene.system import System
+from servogen.simulate.machine import plant_scene
+from servogen.simulate.simulation import Simulation
 
 CORE = "servogen_core"
 
@@ -64,6 +68,11 @@ def _in_words(system: System) -> str:
     is_flag=True,
     help="Also the mechanism itself, q' and u', as <prefix>_plant.h and .c in ./<prefix>/plant/.",
 )
+@click.option(
+    "--fmu",
+    is_flag=True,
+    help="Also <prefix>.fmu, for co-simulation by FMI 3.0, sources and binary; with --plant the plant's too.",
+)
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @click.option(
     "--core",
@@ -84,6 +93,7 @@ def generate(
     math: Math,
     out: Path | None,
     plant: bool,
+    fmu: bool,
     casadi_abi: bool,
     core: bool,
     entry_points: str | None,
@@ -95,11 +105,13 @@ def generate(
     """
     if prefix is not None and len(scenes) > 1:
         raise SceneError(f"--prefix {prefix}: one prefix cannot name {len(scenes)} packages; generate them one by one")
+    if core and fmu:
+        raise SceneError("--fmu: a unit brings all of its C itself; leave out --core, or generate it on its own")
     names = None if entry_points is None else [name.strip() for name in entry_points.split(",") if name.strip()]
     several = len(scenes) > 1 or core
     found = []
     for scene in scenes:
-        loaded = load_scene(scene)
+        loaded, simulation = load_simulation(scene)
         own = Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
         folder = (out or Path()) / own if several else out or own
         options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names}
@@ -107,8 +119,21 @@ def generate(
         if plant:
             name = f"{packages[0].prefix}_plant"
             packages.append(build_plant(loaded, folder / "plant", scalar, name, math=math))
-        found.append(packages)
+        units = []
+        if fmu:
+            units.append(write_fmu(packages[0], loaded, folder, plant=False, simulation=simulation))
+        if fmu and plant:
+            units.append(_plant_fmu(loaded, simulation, folder / "plant", packages[1], math))
+        found.append((packages, units))
     _report(found, as_json)
+
+
+def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Package, math: Math) -> Path:
+    """The plant's unit: around the package where the simulation adds nothing to the scene's mechanism."""
+    if plant_scene(scene, simulation) is scene:
+        return write_fmu(package, scene, folder, plant=True, simulation=simulation)
+    scalar = package.module.target.scalar
+    return build_fmu(scene, folder, scalar, package.prefix, plant=True, simulation=simulation, math=math)
 
 
 @click.command()
@@ -122,23 +147,32 @@ def generate(
 def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([[build_solver(m, l, folder, scalar, prefix=prefix, math=math)]], as_json)
+    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], [])], as_json)
 
 
-def _report(found: Sequence[Sequence[Package]], as_json: bool) -> None:
-    """Of each scene the package; in JSON the second, a plant, stands beside it, and several scenes are a list."""
+_Made = tuple[Sequence[Package], Sequence[Path]]
+"""Of a scene its package, behind it the plant's if there is one, and the files of the same as FMUs."""
+
+
+def _report(found: Sequence[_Made], as_json: bool) -> None:
+    """What was made of each scene; in JSON a plant stands in its package, and several scenes are a list."""
     if as_json:
-        told = [_in_json(*packages) for packages in found]
+        told = [_in_json(*made) for made in found]
         emit_json(told if len(told) > 1 else told[0])
         return
-    for package in (p for packages in found for p in packages):
-        _show(package)
+    for packages, units in found:
+        for package in packages:
+            _show(package)
+        for unit in units:
+            out.print(f"  wrote    {unit}", markup=False, soft_wrap=True)
 
 
-def _in_json(package: Package, plant: Package | None = None) -> dict[str, Any]:
-    told: dict[str, Any] = {"path": package.path, "manifest": package.manifest}
-    told |= {} if package.core is None else {"core": package.core}
-    return told if plant is None else told | {"plant": _in_json(plant)}
+def _in_json(packages: Sequence[Package], units: Sequence[Path]) -> dict[str, Any]:
+    told: list[dict[str, Any]] = [{"path": p.path, "manifest": p.manifest} for p in packages]
+    for entry, unit in zip(told, units, strict=False):
+        entry["fmu"] = unit
+    told[0] |= {} if packages[0].core is None else {"core": packages[0].core}
+    return told[0] | ({"plant": told[1]} if len(told) > 1 else {})
 
 
 def _show(package: Package) -> None:

@@ -5,13 +5,13 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.answer import controlling
+from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import Formulation, Quantity, Weight
-from servogen.derive.known import holonomic_rates, nonholonomic_rates
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.convert import is_identity
-from servogen.scene.known import Gauge
+from servogen.scene.known_rates import Gauge
 from servogen.scene.scene import Scene
 
 

@@ -11,9 +11,9 @@ from servogen.ir.program import Input, Program
 from servogen.law.law import Law, Routine, check_legal, restricted
 from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Project, Solve, Step, handed_out
 from servogen.plan.chunks import split
-from servogen.plan.known import plan_known
+from servogen.plan.known_matrix import plan_known_matrix
 from servogen.plan.mathematics import Math, pair_angles
-from servogen.plan.module import EntryPoint, Kernel, Known, Module, Prepare, Result, StructField, Target
+from servogen.plan.module import EntryPoint, Kernel, KnownMatrix, Module, Prepare, Result, StructField, Target
 from servogen.plan.noise import row_noise
 from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
@@ -35,7 +35,7 @@ def plan(
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
     solvers = _plan_solvers(formulation, optimised, law, target)
-    known = _plan_known(law, staged, cutter, solvers)
+    known = _plan_known_matrix(law, staged, cutter, solvers)
     law = check_legal(_at_hand(law, known.name) if known is not None else law)
     for step in law.steps():
         if isinstance(step, Evaluate | Project):
@@ -57,7 +57,7 @@ def plan(
         mass_tolerance=_mass_tolerance(scene, target.scalar),
         system=scene.system,
         solvers=solvers,
-        known=known,
+        known_matrix=known,
         skipped=what_is_skipped(formulation, optimised, law, known, solvers, inputs, staged),
     )
 
@@ -86,12 +86,14 @@ def _plan_solvers(formulation: Formulation, optimised: SceneProgram, law: Law, t
     return {name: dataclasses.replace(solver, root=_root(target)) for name, solver in planned.items()}
 
 
-def _plan_known(law: Law, staged: Staged, cutter: "_Cutter", solvers: Mapping[str, SolverPlan]) -> Known | None:
+def _plan_known_matrix(
+    law: Law, staged: Staged, cutter: "_Cutter", solvers: Mapping[str, SolverPlan]
+) -> KnownMatrix | None:
     """The matrix of the scene's system where no state changes it; a projection needs its solver all the same."""
     projected = any(isinstance(step, Project) for step in law.steps())
     if projected or not any(isinstance(step, Solve) and step.solver == SYSTEM for step in law.steps()):
         return None
-    return plan_known(staged, cutter.result(law.matrix_of(SYSTEM)), solvers[SYSTEM])
+    return plan_known_matrix(staged, cutter.result(law.matrix_of(SYSTEM)), solvers[SYSTEM])
 
 
 def _at_hand(law: Law, matrix: str) -> Law:

@@ -26,17 +26,17 @@ from servogen.law.steps import (
     handed_out,
     row_of,
 )
-from servogen.plan.known import known_operations
 from servogen.plan.module import Module, Target, cost_of
-from servogen.plan.solver import BITS, PLAIN, paths, solver_context, solver_operations, statuses
+from servogen.plan.operations import known_operations, solver_operations
 from servogen.render import core
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
+from servogen.render.solver import PLAIN, paths, solver_context, statuses
 from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
-from servogen.scalars import EPSILON, Scalar
+from servogen.scalars import BITS, EPSILON, Scalar
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
 
@@ -157,7 +157,7 @@ def _context(module: Module) -> dict[str, Any]:
             "reads": reads,
             "initialiser": partial(_initialiser, scalar=scalar),
             "info_type": f"{module.target.prefix}_info",
-            "in_prepare": module.known.kernel if module.known else None,
+            "in_prepare": module.known_matrix.kernel if module.known_matrix else None,
             "free": module.free,
             "named": _named(module),
             "solved": _solved_by(module, SYSTEM),
@@ -250,7 +250,7 @@ def _initialiser(values: tuple[float, ...], scalar: str) -> str:
 def _solver_cost(module: Module) -> str:
     if module.solver is None:
         return "none"
-    if module.known is not None:
+    if module.known_matrix is not None:
         total = known_operations(module.solver, module.free is not None)["apply"]["total"]
         return f"{total} operations, no factorisation"
     costs = solver_operations(module.solver)
@@ -273,7 +273,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     }
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
-        manifest["solver"]["known"] = module.known.when if module.known else None
+        manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
     if module.target.core:
         manifest["core"] = module.target.core
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}

@@ -91,7 +91,7 @@ def _accuracy(check: CheckReport) -> str:
     solve = max((s.max_error for s in check.solves), default=float("nan"))
     return (
         f"{values:,} values against the 50-digit truth, the largest error {_ulps(worst)} ulps; tau against exact "
-        f"solutions {_figure(solve)} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)."
+        f"solutions {_figure(solve)} of at most {BAR:g} eps κ (‖τ‖ + ‖y‖)."
     )
 
 
@@ -128,8 +128,8 @@ def _bench_rows(bench: Bench) -> list[Measurement]:
 
 def _solver_text(manifest: dict[str, Any]) -> str:
     solver = manifest["solver"]
-    kind = {"row": "one row: closed form", "column": "one column: closed form", "full": "certified ladder"}
-    return f"{solver['m']}×{solver['l']}, {kind[solver['kind']]}"
+    form = {"row": "one row: closed form", "column": "one column: closed form", "full": "certified ladder"}
+    return f"{solver['m']}×{solver['l']}, {form[solver['form']]}"
 
 
 def _statuses(statuses: Any) -> str:

@@ -33,8 +33,8 @@ from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.drawing import motion_of
 from servogen.simulate.export import write_csv
+from servogen.simulate.methods import MethodRun, NotSmooth, draw_methods, measure, methods_figure
 from servogen.simulate.plots import narrow_figures, write_plots
-from servogen.simulate.precision import NotSmooth, Precision, draw_precision, measure, precision_figure
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
 from servogen.verify.check import CheckReport, check
@@ -222,8 +222,8 @@ class SceneWork:
             points = measure(self._scene, self._simulation, duration, steps)
         except NotSmooth as why:
             raise Skipped(str(why)) from why
-        draw_precision(name, duration, points, self._work.folder / "precision")
-        drawn = inline_svg(precision_figure(duration, points), "run time against error", f"{name}-precision")
+        draw_methods(name, duration, points, self._work.folder / "precision")
+        drawn = inline_svg(methods_figure(duration, points), "run time against error", f"{name}-precision")
         return LoopPrecision(
             Figure(drawn, "Each mark a step size, its run time against its error"), _single(points, duration)
         )
@@ -274,7 +274,7 @@ def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], .
     return (*rows, ("what would have ended it", watched or "nothing but the time"))
 
 
-def _single(points: Sequence[Precision], duration: float) -> str:
+def _single(points: Sequence[MethodRun], duration: float) -> str:
     """The best of all step sizes and methods, in either scalar."""
     best = {scalar: [p.error for p in points if p.scalar == scalar] for scalar in EPSILON}
     if not all(best.values()):

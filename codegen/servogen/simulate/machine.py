@@ -252,4 +252,4 @@ def _disturbed(scene: Scene, mech: Mechanism, disturbance: Mapping[str, Callable
         for symbol in ca.symvar(added[name]):
             if symbol.__hash__() != t.__hash__():
                 raise SceneError(f"{what} holds the symbol {symbol.name()!r}; make it of time alone, lambda t: ...")
-    return replace(mech, P=mech.P + added["P"] + ca.mtimes(mech.G, added["tau"]), t=t, known=None)
+    return replace(mech, P=mech.P + added["P"] + ca.mtimes(mech.G, added["tau"]), t=t, known_rates=None)

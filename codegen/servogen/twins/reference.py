@@ -1,7 +1,7 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -11,15 +11,17 @@ import numpy as np
 from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
-from servogen.results import Control, FloatArray, Info, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
+from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy, policy_for
+from servogen.twins.batch import States
 from servogen.twins.interface import Twin, finite, refusal
 
 _WITHOUT_MASS = {"psi", "phi", "A"}
@@ -197,6 +199,36 @@ class ReferenceTwin(Twin):
         if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
             return Control(last, refusal(Status.OVERFLOW))
         return Control(np.asarray(tau).astype(self.dtype), info)
+
+    def _each(self, states: States) -> Iterator[tuple[int, Status, dict[str, FloatArray]]]:
+        """One state after the other, with what prepare says of its parameters; then those of before hold again."""
+        try:
+            for k in range(states.count):
+                inputs, parameters = states.one(k)
+                yield k, self._prepare(parameters) if parameters else Status.OK, inputs
+        finally:
+            if states.parameters:
+                self._prepare(self._prepared)
+
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
+    ) -> Batch:
+        infos = []
+        for k, status, inputs in self._each(states):
+            answer = Control(value[k], refusal(status))
+            if status >= 0:
+                answer = self._control(entry, inputs, value[k], *numbers)
+            value[k] = answer.value
+            infos.append(answer.info)
+        types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
+        columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
+        return Batch(value, *columns)
+
+    def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
+        shape = self.scene.shape_of(offered)
+        refused = np.full(shape, np.nan, self.dtype)
+        rows = [self._evaluate(offered.name, given) if ok >= 0 else refused for _, ok, given in self._each(states)]
+        return np.array(rows, self.dtype).reshape(states.count, *shape)
 
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray

@@ -57,7 +57,7 @@ class OutputCheck:
 class SolveCheck:
     """tau of the generated C against the exact solution of the S, z, y it computed itself.
 
-    max_error: largest |tau - exact| / (u kappa(S) (|tau| + |y|)); the bar is BAR.
+    max_error: largest |tau - exact| / (eps kappa(S) (|tau| + |y|)); the bar is BAR.
     """
 
     scene: str
@@ -185,7 +185,8 @@ def check(
     problems += [f"{c.scene} {c.scalar} on {target}: {c.problem}" for c in campaigns if c.problem]
     skipped += [text for case in cases for text in _not_covered(case)]
     problems += [
-        f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} u kappa (|tau| + |y|), the bar is {BAR:g}"
+        f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} eps kappa (|tau| + |y|); "
+        f"the bar is {BAR:g}"
         for s in solves
         if not s.passed
     ]
@@ -405,7 +406,7 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
 def _solve_error(
     S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float, behind: exact.Matrix | None = None
 ) -> float:
-    """|tau - exact| / (u kappa(S) (|x| + |y|)) for the solve's answer x; times |N| where steps behind it make N x."""
+    """|tau - exact| / (eps kappa(S) (|x| + |y|)) for the solve's answer x; times |N| where steps behind it make N x."""
     matrix = exact.rational(S)
     truth = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(z), exact.rational(y))
     reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))

@@ -77,7 +77,7 @@ class Projection:
         self, inputs: dict[str, FloatArray], x: list[Any], start: list[Any], A: Any, H: Any, force: Any, carried: float
     ) -> Nearest | None:
         """How the rounding of phi, A and tau moves the solution: through the inverse of Lagrange's conditions."""
-        l, m, u = len(x), A.rows, EPSILON[self._scalar]
+        l, m, eps = len(x), A.rows, EPSILON[self._scalar]
         tau = np.array([float(v) for v in x])
         if not np.all(np.isfinite(tau)) or np.linalg.matrix_rank(_floats(A)) < m:
             return None
@@ -89,9 +89,9 @@ class Projection:
         inverse = np.linalg.inv(_floats(_saddle(mp.matrix(W.tolist()), A)))[:l]
         reach = float(np.linalg.norm(_floats(force)))
         size = np.linalg.norm(tau) + np.linalg.norm([float(v) for v in start])
-        along = BAR * u * size + carried + float(np.linalg.norm(bounds[self.step.matrix])) * reach
-        along += (m + 1) * u * float(np.linalg.norm(_floats(A))) * reach
-        across = bounds[self.step.value].ravel() + BAR * u * np.linalg.norm(_floats(A), axis=1) * np.linalg.norm(tau)
+        along = BAR * eps * size + carried + float(np.linalg.norm(bounds[self.step.matrix])) * reach
+        along += (m + 1) * eps * float(np.linalg.norm(_floats(A))) * reach
+        across = bounds[self.step.value].ravel() + BAR * eps * np.linalg.norm(_floats(A), axis=1) * np.linalg.norm(tau)
         error = float(np.linalg.norm(inverse[:, :l], 2) * along + np.linalg.norm(inverse[:, l:], axis=0) @ across)
         bend = float(np.linalg.norm([_floats(h) for h in H]))
         if not error * bend * np.linalg.norm(inverse, 2) < _SMOOTH:

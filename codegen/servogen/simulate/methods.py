@@ -23,7 +23,7 @@ from servogen.simulate.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Precision:
+class MethodRun:
     """One run: seconds its C took (the best of three), and the largest error of q and u at its end, absolute."""
 
     scalar: Scalar
@@ -108,7 +108,7 @@ def measure(
     duration: float,
     steps: Sequence[float],
     scalars: Sequence[Scalar] = tuple(EPSILON),
-) -> tuple[Precision, ...]:
+) -> tuple[MethodRun, ...]:
     """Every step size with every method and scalar, of the model's own loop: a machine's flaws have no exact solution.
 
     Runs that end early are left out. Raises NotSmooth.
@@ -127,13 +127,13 @@ def measure(
                     runs.append(run.seconds)
                 if run.stop.reason == "finished":
                     last = np.concatenate([run.q[-1], run.u[-1]]).astype(float)
-                    found.append(Precision(scalar, method, run.step, min(runs), float(np.max(np.abs(last - end)))))
+                    found.append(MethodRun(scalar, method, run.step, min(runs), float(np.max(np.abs(last - end)))))
     return tuple(found)
 
 
-def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem: Path) -> Path:
+def draw_methods(scene: str, duration: float, found: Sequence[MethodRun], stem: Path) -> Path:
     """Run time against error, both logarithmic; one curve a method and scalar. Returns the PNG."""
-    figure = precision_figure(duration, found, (7.2, 4.2), 11)
+    figure = methods_figure(duration, found, (7.2, 4.2), 11)
     figure.suptitle(f"{scene}: closed loop, run time against error", fontsize=11, x=0.02, ha="left")
     file = stem.with_suffix(".png")
     with matplotlib.rc_context({"svg.hashsalt": "servogen"}):
@@ -142,10 +142,10 @@ def draw_precision(scene: str, duration: float, found: Sequence[Precision], stem
     return file
 
 
-def precision_figure(
-    duration: float, found: Sequence[Precision], size: tuple[float, float] = (4.0, 3.2), font: float = 9
+def methods_figure(
+    duration: float, found: Sequence[MethodRun], size: tuple[float, float] = (4.0, 3.2), font: float = 9
 ) -> Figure:
-    """The curves of draw_precision without a title; size in inches, font in points."""
+    """The curves of draw_methods without a title; size in inches, font in points."""
     marks = {"rk4": "o", "dop8": "s"}
     colours = {"float64": "#0072B2", "float32": "#D55E00"}
     with matplotlib.rc_context({"font.size": font, "legend.frameon": False}):

@@ -2,9 +2,9 @@
 
 import pytest
 from servogen.loading import load_scene, scene_folder
-from servogen.report.certificates import render_certificates
+from servogen.report.board_page import render_board_page
+from servogen.verify.board_certificate import certify
 from servogen.verify.budget import FILE, exceeded, read
-from servogen.verify.certificate import certify
 
 
 @pytest.mark.parametrize("name", ["double_pendulum_energy", "spacecraft"])
@@ -25,6 +25,6 @@ def test_proven_and_within_budget(name, need_target):
             assert 0 < e.stack_seen <= e.stack
         if (c.target, c.scalar) != ("cortex-m4", "float64"):
             assert not [n for n in c.needs if n.startswith("__aeabi_d")], "the core has it in hardware"
-    page = render_certificates(found, [])
+    page = render_board_page(found, [])
     assert "Everything was proven" in page
     assert all(f"{e.bound:,}" in page for c in found for e in c.entries)

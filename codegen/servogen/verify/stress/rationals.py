@@ -18,7 +18,7 @@ def accuracy(
     truths: Sequence[exact.Matrix],
     quantities: tuple[str, str] = (TAU, PINV),
 ) -> Iterator[Figure]:
-    """Errors of tau and S+ over u kappa, against S+ in rationals; where S has full row rank, residual and Penrose too.
+    """Errors of tau and S+ over eps kappa, S+ in rationals; where S has full row rank, residual and Penrose too.
 
     S: (N, m, l), z: (N, m), y: (N, l). kappa is that of what was kept, |S| |S+|.
     """
@@ -46,11 +46,11 @@ def accuracy(
     scale = length(right_tau) + length(wide_y)
     if least_squares:
         scale = scale + kappa * over(length(least), size)
-    yield figure(quantities[0], over(length(miss), bench.u * kappa * scale))
-    yield figure(quantities[1], over(norm2(off), bench.u * kappa * pinv_size))
+    yield figure(quantities[0], over(length(miss), bench.eps * kappa * scale))
+    yield figure(quantities[1], over(norm2(off), bench.eps * kappa * pinv_size))
     if quantities[0] == TAU:
-        yield figure(RESIDUAL, over(length(rest), bench.u * (size * length(tau.astype(np.float64)) + length(wide_z))))
-        yield figure(PENROSE, penrose(S, X) / (bench.u * kappa))
+        yield figure(RESIDUAL, over(length(rest), bench.eps * (size * length(tau.astype(np.float64)) + length(wide_z))))
+        yield figure(PENROSE, penrose(S, X) / (bench.eps * kappa))
 
 
 def decided_exactly(bench: Bench, S: FloatArray, z: FloatArray) -> Iterator[Figure]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from servogen import exact
 from servogen.ir.program import Program
-from servogen.plan.module import Kernel, Known, Result
-from servogen.plan.solver import Operations, SolverPlan
+from servogen.plan.module import Kernel, KnownMatrix, Result
+from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.results import Status
 from servogen.scene.solver import Solver
@@ -18,7 +18,7 @@ from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import policy_for
 
 
-def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | None:
+def plan_known_matrix(staged: Staged, result: Result, solver: SolverPlan) -> KnownMatrix | None:
     """How the matrix `result` of the tick is known before it; None where the state decides it."""
     part = cut(staged.tick, result.name, (result.name,))
     kinds = {i.name: i.kind for i in part.inputs}
@@ -28,23 +28,16 @@ def plan_known(staged: Staged, result: Result, solver: SolverPlan) -> Known | No
     constants = [part.instrs[n].const for n in part.output(result.name).nodes]
     if all(isinstance(c, Fraction) for c in constants):
         return _at_generation(result.name, constants, solver)
-    return Known(
+    return KnownMatrix(
         result.name, "prepare", kernel=Kernel(f"known_{result.name}", _renamed(part, f"known_{result.name}"), (result,))
     )
-
-
-def known_operations(solver: SolverPlan, free: bool) -> dict[str, Operations]:
-    """Floating-point operations of tau = y + S+ (z - S y) with S+ at hand; free: whether there is a y."""
-    m, l = solver.m, solver.l
-    add, mul = l * (m - 1) + free * (m * l + l), l * m * (1 + free)
-    return {"apply": {"total": add + mul, "add": add, "mul": mul, "div": 0, "sqrt": 0}}
 
 
 def _renamed(program: Program, name: str) -> Program:
     return Program(name, program.inputs, program.instrs, program.outputs)
 
 
-def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> Known:
+def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> KnownMatrix:
     """Exact rationals, or 50 digits where the solver's tolerances or damping ask for another answer than the exact one.
 
     Nothing printed depends on the host's LAPACK.
@@ -63,4 +56,6 @@ def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> Known
         columns = [pseudo_solution(counted, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
         numbers = [Fraction(float(column[i])) for i in range(l) for column in columns]
     sigma_min = smallest_singular_value(values) if exact.rank(matrix) == min(m, l) else 0.0
-    return Known(name, "generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min)
+    return KnownMatrix(
+        name, "generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min
+    )

@@ -32,7 +32,7 @@ Progress = Callable[[int, int, str], None]
 class Point:
     """One contender at one condition. Nanoseconds a solve: median and worst over the systems, of each its best round;
     p999: 99.9th percentile over all systems and rounds, the machine's own noise included. error: largest, over
-    u kappa |tau|; relative: largest, over |tau|; infinite where an answer is not finite."""
+    eps kappa |tau|; relative: largest, over |tau|; infinite where an answer is not finite."""
 
     contender: str
     kind: str  # "ours", "C" or "Python"
@@ -47,7 +47,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Precision:
+class WorkPrecision:
     """points: every contender at every shape, scalar and condition. missing: rivals not here, and the remedy."""
 
     compiler: str
@@ -76,7 +76,7 @@ def measure(
     seed: int = 1,
     peers: bool = True,
     progress: Progress | None = None,
-) -> Precision:
+) -> WorkPrecision:
     """Everything measured. peers=False leaves out Eigen and LAPACK. Raises ToolMissing without gcc and g++."""
     compiler = str(find_tool("g++", "g++"))
     find_tool("gcc", "gcc")
@@ -93,7 +93,7 @@ def measure(
             progress(done, len(work), f"{m}x{l} {scalar}")
         points += _measure_shape(m, l, scalar, systems, rounds, seed, here)
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout.splitlines()[0]
-    return Precision(version, FLAGS, systems, rounds, seed, tuple(points), missing)
+    return WorkPrecision(version, FLAGS, systems, rounds, seed, tuple(points), missing)
 
 
 def _measure_shape(

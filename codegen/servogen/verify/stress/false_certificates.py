@@ -11,11 +11,11 @@ from servogen.scalars import EPSILON, Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import find_tool
 
-SOURCE = Path(__file__).with_name("certificates.c")
+SOURCE = Path(__file__).with_name("false_certificates.c")
 
 
 @dataclass(frozen=True)
-class Certificates:
+class FalseCertificates:
     """How many of `systems` each step accepted, and in vain. quick: the QR of solve; qr: that of the ladder behind."""
 
     m: int
@@ -31,7 +31,7 @@ class Certificates:
     false_quick: int
 
 
-def certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) -> Certificates:
+def false_certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) -> FalseCertificates:
     """Counts for one shape, 2 <= m <= l. Raises ToolMissing without gcc (its __float128 decides)."""
     if not 2 <= m <= l:
         raise ValueError(f"{m} x {l}: certificates are those of wide shapes of two rows or more")
@@ -52,4 +52,4 @@ def certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) ->
             [str(folder / "count"), str(systems), str(seed)], check=True, capture_output=True, text=True
         )
     counts = [int(word) for word in done.stdout.split()]
-    return Certificates(m, l, scalar, seed, *counts)
+    return FalseCertificates(m, l, scalar, seed, *counts)

@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.rates import moving_symbols, rate
-from servogen.scene.known import Gauge, Known
+from servogen.scene.known_rates import Gauge, KnownRate
 from servogen.scene.scene import Scene
 
 
@@ -16,7 +16,7 @@ class Cut:
 
     node: Any
     symbol: Any
-    known: Known
+    known: KnownRate
     row: int
     is_rate: bool
 
@@ -67,7 +67,7 @@ def _u_dot(gauge: Gauge | None) -> Any:
 
 def cut(scene: Scene, expression: Any) -> tuple[Any, list[Cut]]:
     """The expression with a fresh symbol for each scalar whose rate is known, and what the symbols stand for."""
-    known = scene.mechanism.known
+    known = scene.mechanism.known_rates
     if not known:
         return expression, []
     moving = moving_symbols(scene)

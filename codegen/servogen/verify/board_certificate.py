@@ -53,7 +53,7 @@ class EntryCost:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class BoardCertificate:
     """One package on one board. flash: bytes of code and constants of the package; library: of the compiler's
     arithmetic that it calls; ram: bytes of variables with static storage; state: bytes of the structs the caller
     keeps. problems: empty if everything was proven."""
@@ -86,7 +86,7 @@ def certify(
     scalars: tuple[Scalar, ...] = ("float64", "float32"),
     math: Math = "own",
     optimisation: str = "-O2",
-) -> list[Certificate]:
+) -> list[BoardCertificate]:
     """One certificate a board and scalar. Raises ToolMissing where a board has no compiler or emulator here."""
     with tempfile.TemporaryDirectory(prefix="servogen-certify-") as name:
         folder = Path(name)
@@ -110,7 +110,7 @@ def _vectors(scene: Scene, package: Package, states: int) -> VectorSet:
     return Truth(scene, package.module, states_to_check(scene, states)[0], states).vector_set()
 
 
-def _certificate(scene: Scene, package: Package, target: str, result: HarnessResult, folder: Path) -> Certificate:
+def _certificate(scene: Scene, package: Package, target: str, result: HarnessResult, folder: Path) -> BoardCertificate:
     module, prefix = package.module, package.prefix
     compiled = objects.compile_like(folder / "build", prefix, folder / "objects")
     nm, size, objdump = (objects.tool(t, compiled.program) for t in ("nm", "size", "objdump"))
@@ -132,7 +132,7 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
     reached = objects.reached([f"{prefix}_{n}" for n in names], compiled.graph, library)
     width = 8 if module.target.scalar == "float64" else 4
     structs = {"params": module.parameters, "model": module.model, "input": module.inputs}
-    return Certificate(
+    return BoardCertificate(
         scene=scene.name,
         scalar=module.target.scalar,
         target=target,

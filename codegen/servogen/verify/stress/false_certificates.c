@@ -1,6 +1,6 @@
 /* Whether a certificate was ever given in vain: counts systems that NORMAL or QR accept, and among them those whose
    smallest singular value is, exactly, not above what the certificate promises. One package, included below so that its
-   static functions are in reach. Built by certificates.py with
+   static functions are in reach. Built by false_certificates.py with
 
      -DSOURCE="pinv.c" -DROWS= -DCOLUMNS= -DREAL= -DRTOL= -DNORMAL_LIMIT= -DNORMAL_ROUNDING= -DEPSILON=
 
@@ -29,7 +29,7 @@ static double symmetric(void) /* bell-shaped enough */
     return uniform() + uniform() + uniform() - uniform() - uniform() - uniform();
 }
 
-/* kappa log-uniform up to 10 / u: X diag(sigma) Y, or rows that differ from one another by 1/kappa, or a Kahan triangle */
+/* kappa log-uniform up to 10 / eps: X diag(sigma) Y, rows that differ from one another by 1/kappa, or a Kahan triangle */
 static void draw(uint64_t index, REAL *S)
 {
     double X[ROWS * ROWS], sigma[ROWS];

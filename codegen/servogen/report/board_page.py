@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 from servogen.report.templates import pages
-from servogen.verify.certificate import Certificate
+from servogen.verify.board_certificate import BoardCertificate
 from servogen.version import VERSION
 
 
-def render_certificates(certificates: Sequence[Certificate], problems: Sequence[str]) -> str:
+def render_board_page(certificates: Sequence[BoardCertificate], problems: Sequence[str]) -> str:
     """The HTML of certificates: scene x board x scalar at a glance, then each function of each."""
     return (
         pages()
-        .get_template("certificates.html.j2")
+        .get_template("boards.html.j2")
         .render(
             certificates=certificates,
             boards=list(dict.fromkeys(c.target for c in certificates)),

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from servogen import exact
-from servogen.bench.solver import contenders, precision
+from servogen.bench.solver import contenders, work_precision
 from servogen.bench.solver.plot import STYLES, draw
 from servogen.cli.main import cli
-from servogen.report.precision import render_precision
+from servogen.report.solver_page import render_solver_page
 
 pytestmark = pytest.mark.xdist_group("precision")  # one process makes the fixture
 
@@ -19,12 +19,12 @@ pytestmark = pytest.mark.xdist_group("precision")  # one process makes the fixtu
 @pytest.fixture(scope="module")
 def found(need_tool):
     need_tool("g++", "g++")
-    return precision.measure([(2, 3)], ["float64"], systems=4, rounds=2, peers=False)
+    return work_precision.measure([(2, 3)], ["float64"], systems=4, rounds=2, peers=False)
 
 
 def test_every_contender_is_at_every_condition(found):
     names = {v.name for v in contenders.variants("float64")} | set(contenders.PYTHON) | {"casadi.pinv, generated C"}
-    for kappa in precision.decades("float64"):
+    for kappa in work_precision.decades("float64"):
         assert {p.contender for p in found.facet("2x3", "float64", kappa)} == names
     assert names <= set(STYLES)
 
@@ -55,13 +55,13 @@ def test_refinement_is_cut_and_nothing_else(tmp_path):
 def test_errors_are_relative_and_exact():
     right = [exact.rational(np.array([3.0, 4.0]))] * 2
     tau = np.array([[3.0, 4.0 + 5e-12], [np.nan, 0.0]])
-    errors = precision.relative_errors(tau, right)
+    errors = work_precision.relative_errors(tau, right)
     assert errors[0] == pytest.approx(1e-12, rel=1e-3)
     assert math.isinf(errors[1])
 
 
 def test_systems_have_their_condition():
-    S, z = precision.draw(2, 3, "float64", (1.0, 1e6), 8, np.random.default_rng(1))
+    S, z = work_precision.draw(2, 3, "float64", (1.0, 1e6), 8, np.random.default_rng(1))
     np.testing.assert_allclose(np.linalg.cond(S), np.repeat([1.0, 1e6], 8), rtol=1e-6)
     assert z.shape == (16, 2)
 
@@ -70,9 +70,9 @@ def test_a_library_that_is_not_here_is_said(monkeypatch, need_tool):
     need_tool("g++", "g++")
     gone = dataclasses.replace(contenders.LIBRARIES[0], probe="#include <no/such/header>")
     assert not gone.here("g++")
-    monkeypatch.setattr(precision, "LIBRARIES", (gone,))
-    monkeypatch.setattr(precision, "_measure_shape", lambda *given: [])
-    assert "apt-get install libeigen3-dev" in precision.measure([(2, 3)], ["float64"]).missing[0]
+    monkeypatch.setattr(work_precision, "LIBRARIES", (gone,))
+    monkeypatch.setattr(work_precision, "_measure_shape", lambda *given: [])
+    assert "apt-get install libeigen3-dev" in work_precision.measure([(2, 3)], ["float64"]).missing[0]
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_plots_and_page(few, tmp_path):
     figures = draw(few, tmp_path)
     first = figures["2x3", "float64"].read_bytes()
     assert draw(few, tmp_path)["2x3", "float64"].read_bytes() == first
-    page = render_precision(few, figures)
+    page = render_solver_page(few, figures)
     assert "servogen QR (NORMAL in vain)" in page
     assert "http" not in page.replace("http://www.w3.org", "")
 

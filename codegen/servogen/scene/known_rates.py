@@ -8,7 +8,7 @@ import casadi as ca
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class KnownRate:
     """A column p' = factor J u with p'' = factor J u' + acceleration, all SX.
 
     factor: k x w of q. J: w x n_u of q. rate: k, p'. acceleration: k, p'' at u' = 0; at_gauge: at the gauge's u'.
@@ -52,8 +52,8 @@ class KnownRates:
     gauge: Gauge | None = None
 
     def __init__(self) -> None:
-        self._of_q: dict[int, tuple[Any, Known, int]] = {}
-        self._of_u: dict[int, tuple[Any, Known, int]] = {}
+        self._of_q: dict[int, tuple[Any, KnownRate, int]] = {}
+        self._of_u: dict[int, tuple[Any, KnownRate, int]] = {}
         self.frames: dict[str, tuple[Any, Any]] = {}
 
     def add(
@@ -67,20 +67,20 @@ class KnownRates:
     ) -> None:
         """Make p' = rate known, and p = value if given (a function of q); accelerations: at u' = 0 and at the gauge's.
 
-        See Known.
+        See KnownRate.
         """
         rate, acceleration, at_gauge = (ca.densify(x) for x in (rate, *accelerations))
-        known = Known(factor, J, rate, acceleration, at_gauge, ca.SX() if still is None else still)
+        known = KnownRate(factor, J, rate, acceleration, at_gauge, ca.SX() if still is None else still)
         _enter(self._of_u, rate, known)
         if value is not None:
             _enter(self._of_q, ca.densify(value), known)
 
-    def of_q(self, node: Any) -> tuple[Known, int] | None:
+    def of_q(self, node: Any) -> tuple[KnownRate, int] | None:
         """The entry whose p a scalar SX node is, and its row."""
         found = self._of_q.get(node.__hash__())
         return None if found is None else found[1:]
 
-    def of_u(self, node: Any) -> tuple[Known, int] | None:
+    def of_u(self, node: Any) -> tuple[KnownRate, int] | None:
         """The entry whose p' a scalar SX node is, and its row."""
         found = self._of_u.get(node.__hash__())
         return None if found is None else found[1:]
@@ -89,7 +89,7 @@ class KnownRates:
         return bool(self._of_u)
 
 
-def _enter(table: dict[int, tuple[Any, Known, int]], column: Any, known: Known) -> None:
+def _enter(table: dict[int, tuple[Any, KnownRate, int]], column: Any, known: KnownRate) -> None:
     for row in range(column.size1()):
         node = column[row]  # kept, so that its number is never another's
         if not node.is_leaf():

@@ -1,0 +1,38 @@
+"""What the templates of the solver name."""
+
+from collections.abc import Callable
+from typing import Any
+
+from servogen.plan.solver import SolverPlan
+from servogen.results import PATH_MEANING, STATUS_MEANING, Path, Status
+from servogen.scalars import BITS
+
+PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
+"""The names of the solver's equation S tau = z in comments where a scene has none of its own."""
+
+
+def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name."""
+    return {
+        "p": prefix,
+        "P": prefix.upper(),
+        "K": prefix.upper(),  # of the names of this solver's numbers; another solver of the same package has its own
+        "real": plan.real,
+        "plan": plan,
+        "bits": BITS[plan.scalar],
+        "named": PLAIN,
+        "solved": PLAIN,
+        "lit": literal,
+        "statuses": statuses(),
+        "paths": paths(),
+    }
+
+
+def statuses() -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each status, the remarks before the refusals."""
+    return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))]
+
+
+def paths() -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each path."""
+    return [(path.name, int(path), PATH_MEANING[path]) for path in Path]
