@@ -158,4 +158,6 @@ def _show(package: Package) -> None:
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
     counts = point["operations"]
-    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or "the solver alone"
+    copied = any(e.name == name for e in package.module.entry_points)
+    none = "none: inputs and constants as they are" if copied else "the solver alone"
+    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or none

@@ -31,17 +31,22 @@ from servogen.scene.scene import Scene
 from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.drawing import motion_of
-from servogen.simulate.export import write_csv
+from servogen.simulate.export import write_csv, write_runs_csv
 from servogen.simulate.methods import MethodRun, NotSmooth, draw_methods, measure, methods_figure
 from servogen.simulate.plots import narrow_figures, write_plots
+from servogen.simulate.robustness import narrow_robustness, write_robustness
+from servogen.simulate.runs import Runs
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
+from servogen.simulate.trials import scattered
 from servogen.simulate.wanted import load_simulation
 from servogen.verify.check import CheckReport, check
 
 BOARD = "cortex-m4"
 """The emulated board of the report."""
 
+RUNS = 100
+"""Of the scene on machines that nobody knows exactly."""
 
 _OF_THE_CONSTRAINT = "Constraint error, and its prescribed decay"
 
@@ -57,6 +62,7 @@ CAPTIONS: dict[str, str] = {
 STAGES = (
     Stage("generate", "generate", 600, needed=True),
     Stage("loop", "closed loop", 120),
+    Stage("robustness", "closed loop on machines that differ", 120),
     Stage("check", "cross-check on this machine", 300),
     Stage("board", f"cross-check on {BOARD}", 300),
     Stage("speed", "run time against error", 300),
@@ -104,6 +110,15 @@ class Loop:
     ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
     figures: tuple[Figure, ...]
     drawing: Drawing | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """Many runs on machines that differ; varied: in what, in words."""
+
+    runs: Runs
+    varied: str
+    figures: tuple[Figure, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +205,20 @@ class SceneWork:
         unit = "m" if self._simulation.drawing is None else ""  # a robot's frames are in metres
         return draw_motion(motion, label, self._simulation.units.get("drawing", unit))
 
+    def robustness(self) -> Robustness:
+        """Runs with other plants, starts and noise; each run's outcome goes to runs.csv. Skipped where none begins."""
+        if not len(self._run.t):
+            raise Skipped("the start was refused")
+        varied, machine = scattered(self._loop, self._run)
+        runs, folder = self._loop.runs(RUNS, **machine), self._work.folder
+        write_runs_csv(runs, folder / "runs.csv")
+        figures = []
+        if write_robustness(runs, folder):
+            caption = "Error of each run, and what hurts most"
+            drawn = inline_svg(narrow_robustness(runs), f"{self._scene.name}: {caption}", f"{self._scene.name}-runs")
+            figures.append(Figure(drawn, caption))
+        return Robustness(runs, varied, tuple(figures))
+
     def check(self) -> CheckReport:
         """The generated C against the 50-digit truth."""
         return check([self._scene], states=self._work.states)
@@ -228,7 +257,11 @@ class SceneWork:
 
     @cached_property
     def _run(self) -> Trajectory:
-        return ClosedLoop(self._scene, self._simulation).run()
+        return self._loop.run()
+
+    @cached_property
+    def _loop(self) -> ClosedLoop:
+        return ClosedLoop(self._scene, self._simulation)
 
 
 def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
