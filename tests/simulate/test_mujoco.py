@@ -14,12 +14,12 @@ import pytest
 import servogen as sg
 from servogen.bench import mujoco_figures
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.scenes import iiwa_position
 from servogen.scenes.planar_arm_3r import arm, arm_run
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement, load_plant
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 from servogen.tools import ToolMissing
 
 ARM = """<mujoco>
@@ -74,6 +74,24 @@ def test_the_iiwa_on_mujoco(tmp_path: Path) -> None:
         assert figures.off_decay < off
         assert figures.rest < 1e-3
         assert figures.beside < 1e-6
+
+
+def test_both_worlds_tell_the_same_of_a_flaw(planar: tuple[sg.Scene, sg.Simulation], tmp_path: Path) -> None:
+    """Joint damping that the model has not, and torque that the actuators have not: same rows, same verdict."""
+    scene, simulation = planar
+    limits = np.full(3, 100.0)
+    worlds = mujoco_figures.Worlds(mujoco_figures.Arm(scene, simulation, write(tmp_path), limits, limits), "hand")
+    words = []
+    for flaw in (
+        mujoco_figures.Flaw("none"),
+        mujoco_figures.Flaw("damped", damping=1.5),
+        mujoco_figures.Flaw("weak", machine={"actuators": sg.Actuators(limit=20.0)}),
+    ):
+        theirs, ours = worlds.runs(flaw, duration=1.5)
+        np.testing.assert_allclose(theirs.q, ours.q, atol=1e-5)
+        assert theirs.verdict.word == ours.verdict.word
+        words.append(ours.verdict.word)
+    assert words == ["held", "not held", "limited"]
 
 
 def test_past_full_reach_and_back(planar: tuple[sg.Scene, sg.Simulation], tmp_path: Path) -> None:

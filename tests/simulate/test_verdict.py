@@ -7,12 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_simulation
 from servogen.simulate.claim import claim_of
 from servogen.simulate.closed_loop import ClosedLoop, simulate
 from servogen.simulate.simulation import units_of_entries
 from servogen.simulate.trajectory import Stop
 from servogen.simulate.verdict import judge
+from servogen.simulate.wanted import load_simulation
 
 
 def inverted(domain: object = None) -> sg.Scene:

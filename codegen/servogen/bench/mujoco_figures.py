@@ -18,7 +18,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servogen.loading import load_simulation
 from servogen.results import FloatArray
 from servogen.scene.constraints import Holonomic
 from servogen.scene.mechanism import Mechanism
@@ -31,6 +30,7 @@ from servogen.simulate.machine import Actuators
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement, load_plant
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 from servogen.urdf.load import load
 from servogen.urdf.robot import Robot
 

@@ -18,7 +18,6 @@ from servogen.compiler import build, optimised_scene
 from servogen.derive.formulation import Quantity
 from servogen.derive.lower import lower_quantities
 from servogen.ir.program import Program
-from servogen.loading import load_simulation
 from servogen.optimise.passes import optimise
 from servogen.package import Package
 from servogen.report.drawing import Drawing, draw_motion
@@ -27,7 +26,7 @@ from servogen.report.inline import inline_svg
 from servogen.report.sparsity import kinds, picture
 from servogen.report.stages import Skipped, Stage
 from servogen.scalars import EPSILON
-from servogen.scene.domain import STATES_OF_A_DOMAIN, domain_box, draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
 from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
@@ -40,6 +39,7 @@ from servogen.simulate.runs import Runs
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
 from servogen.simulate.trials import scattered
+from servogen.simulate.wanted import load_simulation
 from servogen.verify.check import CheckReport, check
 
 BOARD = "cortex-m4"
@@ -271,7 +271,7 @@ def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
         return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
 
     rows = [Symbol(f.name, "parameter", numbers(f.default), f.unit, f.text) for f in scene.parameters]
-    for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_DOMAIN)).items():
+    for name, (low, high) in draw_samples(scene).box.items():
         f = next(f for f in scene.input_fields() if f.name == name)
         kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
         unit = f.unit or units.get(name, "")

@@ -11,9 +11,6 @@ from servogen.scene.scene import Scene, State
 from servogen.scene.symbols import Field
 
 # Where the user states no range: an angle's period, and magnitudes of one.
-STATES_OF_A_DOMAIN = 200
-"""By which the box of a scene that draws its own states, and the size of what it has there, are read off."""
-
 _DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from servogen.results import FloatArray
 from servogen.scene.constraints import Constraint, expression_of
-from servogen.scene.domain import STATES_OF_A_DOMAIN, domain_box, draw_states
+from servogen.scene.domain import draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
 from servogen.simulate.ideal import value_at
 from servogen.simulate.simulation import Simulation, known_symbols, units_of_entries
@@ -32,6 +33,9 @@ TOLERANCE = 1e-3
 SAMPLED = 1e-2
 """The same for a sampling controller, whose tau is late for what the mechanism does within a tick, and omega hold more:
 omega, the fastest eigenvalue of Theta in 1/s, is the rate at which a prescribed error itself moves within one."""
+
+STATES_OF_A_CLAIM = 200
+"""States of the domain by which psi's size is read off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +120,7 @@ def _ranges(
     scene: Scene, simulation: Simulation, angle: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, dict[str, str]]:
     """Ends of each entry of q and u, and by "q" and "u" who says so."""
-    box = domain_box(scene, draw_states(scene, STATES_OF_A_DOMAIN))
+    box = draw_samples(scene).box
     lows, highs, sources = [], [], {}
     for name in ("q", "u"):
         size = getattr(scene.mechanism, name).size1()
@@ -168,7 +172,7 @@ def _angles(scene: Scene) -> NDArray[np.bool_]:
 
 def _sizes_of_psi(scene: Scene, parameters: Mapping[str, FloatArray]) -> FloatArray:
     """The root mean square of each row of psi (phi) over the domain, its size there; 1 where it is zero throughout."""
-    count = STATES_OF_A_DOMAIN
+    count = STATES_OF_A_CLAIM
     symbols = known_symbols(scene)
     psi = ca.densify(ca.vertcat(*(expression_of(c) for c in scene.constraints)))
     function = ca.Function("psi", [s for _, s in symbols], [psi])

@@ -15,8 +15,8 @@ _HELD = "#009E73"
 
 
 def write_robustness(runs: Runs, out: Path) -> tuple[Path, ...]:
-    """robustness.png and .svg in the folder `out`; none where no run has a row."""
-    if not np.isfinite(runs.share).any():
+    """robustness.png and .svg in the folder `out`; none where no run has a deviation to draw."""
+    if not (np.isfinite(runs.share) & (runs.share > 0)).any():
         return ()
     with rc_context(STYLE):
         figure = _figure(runs, 7.2, 3.0)
