@@ -79,6 +79,8 @@ def test_the_iiwa_on_mujoco(tmp_path: Path) -> None:
 def test_both_worlds_tell_the_same_of_a_flaw(planar: tuple[sg.Scene, sg.Simulation], tmp_path: Path) -> None:
     """Joint damping that the model has not, and torque that the actuators have not: same rows, same verdict."""
     scene, simulation = planar
+    anywhere = (-np.inf, np.inf)
+    simulation = replace(simulation, domain={"q": anywhere, "u": anywhere})
     limits = np.full(3, 100.0)
     worlds = mujoco_figures.Worlds(mujoco_figures.Arm(scene, simulation, write(tmp_path), limits, limits), "hand")
     words = []
