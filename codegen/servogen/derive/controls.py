@@ -7,7 +7,7 @@ import casadi as ca
 
 from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, Quantity
-from servogen.derive.mass import solve_with_mass
+from servogen.derive.passive import accelerations, passive_quantities
 from servogen.derive.rates import rate
 from servogen.derive.servo import free_quantities
 from servogen.derive.weight import weigh
@@ -26,7 +26,7 @@ AFFINE_CAP = 2
 def derive_controls(scene: Scene) -> Formulation:
     """phi, A and B; also y where it is an expression."""
     mech = scene.mechanism
-    u_dot, mass = solve_with_mass(scene, mech.P + ca.mtimes(mech.G, mech.tau))
+    u_dot, mass = accelerations(scene, mech.P + ca.mtimes(mech.G, mech.tau))
     phi, B = [], []
     for c in scene.constraints:
         assert isinstance(c, ControlsInvolved)
@@ -52,7 +52,10 @@ def derive_controls(scene: Scene) -> Formulation:
     bends, places = curvature(phi, mech.tau)
     if places:
         quantities.append(Quantity("curvature", bends, "Eq. (36)", "phi_tau_tau, its nonzeros"))
-    law = controlling(scene, quantities, weight, entries=(("phi",), ("A",), ("B",), ("A", "B")))
+    passive = passive_quantities(scene)
+    quantities += passive
+    entries = (("phi",), ("A",), ("B",), ("A", "B"), *((q.name,) for q in passive))
+    law = controlling(scene, quantities, weight, entries)
     law = _with_projection(law, scene.controls, places)
     return Formulation(scene, tuple(quantities), mass, law, weight)
 

@@ -158,7 +158,7 @@ def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: Scen
     cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
-    fields = scene.input_fields() if scene.system.tau_is_state else (*scene.input_fields(), tau)
+    fields = scene.input_fields() if scene.tau_is_input else (*scene.input_fields(), tau)
     return Module(
         scene=scene.name,
         target=target,

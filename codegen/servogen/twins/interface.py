@@ -29,6 +29,8 @@ _QUANTITIES = {
     "phi": "The constraints' values, shape (m,).",
     "A": "phi_tau, shape (m, l), Eq. (39).",
     "B": "Right side of A tau' = B, shape (m,), Eq. (40).",
+    "lam": "The multipliers of the passive constraints under tau, shape (p,): forces J^T lam, least norm.",
+    "closure": "chi of the passive constraints, then chi' of the holonomic ones, shape (p + p_h,).",
 }
 """What a twin's functions return, by name; which of them a scene has, its system says."""
 
@@ -72,7 +74,7 @@ class Twin(ABC):
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
         if name in _QUANTITIES:
-            if name in self.scene.system.quantities:
+            if name in self._quantities:
                 return self._function_of(name)
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
         if name in ("project", "step") and self.scene.system.tau_is_state:
@@ -81,7 +83,11 @@ class Twin(ABC):
 
     def __dir__(self) -> list[str]:
         moving = ["project", "step"] if self.scene.system.tau_is_state else []
-        return [*super().__dir__(), *self.scene.system.quantities, *moving]
+        return [*super().__dir__(), *self._quantities, *moving]
+
+    @property
+    def _quantities(self) -> tuple[str, ...]:
+        return (*self.scene.system.quantities, *self.scene.passive_shapes())
 
     def _function_of(self, name: str) -> Callable[..., FloatArray]:
         def quantity(**inputs: Any) -> FloatArray:

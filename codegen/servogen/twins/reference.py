@@ -15,6 +15,7 @@ from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.domain import draw_states
+from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
@@ -22,7 +23,8 @@ from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.interface import Twin, finite, refusal
 
-_WITHOUT_MASS = {"psi", "phi", "A"}
+_WITHOUT_MASS = {"psi": "psi", "phi": "psi", "A": "A", "closure": "closure"}
+"""What needs no Q -> what it is called among the parts."""
 
 
 Noise = Callable[[Scene, Scalar], tuple[float, ...]]
@@ -116,8 +118,8 @@ class ReferenceTwin(Twin):
         if not finite(v for n, v in rounded.items() if n in self._names["used"]):
             return Status.NONFINITE, {}
         given = self.parts(inputs)
-        if names and set(names) <= _WITHOUT_MASS:
-            result = {n: given["A" if n == "A" else "psi"] for n in names}
+        if names and set(names) <= set(_WITHOUT_MASS):
+            result = {n: given[_WITHOUT_MASS[n]] for n in names}
         elif self._singular(given["Q"]):
             return Status.SINGULAR_MASS, {}
         else:
@@ -146,6 +148,7 @@ class ReferenceTwin(Twin):
         status, result = self.system(inputs, name)
         n = self.scene.mechanism.u.size1()
         shapes = dict.fromkeys("SA", self.scene.system_shape) | {"T": (n, n), "F": (n,), "R": (n,)}
+        shapes |= self.scene.passive_shapes()
         shape = shapes.get(name, (self.scene.rows,))
         return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
 
@@ -191,11 +194,12 @@ class ReferenceServo(ReferenceTwin):
     """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        J, Q = given["J"], given["Q"]
-        S = J @ np.linalg.solve(Q, given["G"])
-        z = -J @ np.linalg.solve(Q, given["P"]) - given["X"] + given["prescribed"]
+        J = given["J"]
+        gain, drift, multipliers = _motion(given, inputs)
+        S = J @ gain
+        z = -J @ drift - given["X"] + given["prescribed"]
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | _weight(given)
+        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | multipliers | _weight(given)
 
 
 class ReferenceIdeal(ReferenceTwin):
@@ -259,6 +263,30 @@ class ReferenceIdeal(ReferenceTwin):
         return Control(answer.value, _with_status(answer.info, max(reaction, answer.info.status)))
 
 
+def _motion(
+    given: dict[str, FloatArray], inputs: dict[str, FloatArray]
+) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    """gain and drift of u' = drift + gain tau, and with passive constraints their multipliers under tau.
+
+    Those by the dense Karush-Kuhn-Tucker system [Q, -J^T; J, 0] [u'; lam] = [P + G tau; -j], by least squares where its
+    rows are redundant, so that lam has the least norm.
+    """
+    Q, forces = given["Q"], np.hstack([given["G"], given["P"].reshape(-1, 1)])
+    if "passive_J" not in given:
+        solved = np.linalg.solve(Q, forces)
+        return solved[:, :-1], solved[:, -1:], {}
+    J, j = given["passive_J"], given["passive_j"].reshape(-1, 1)
+    n, p = len(Q), len(J)
+    matrix = np.block([[Q, -J.T], [J, np.zeros((p, p))]])
+    right = np.vstack([forces, np.hstack([np.zeros((p, forces.shape[1] - 1)), -j])])
+    size = 1 / np.sqrt(np.maximum(np.max(np.abs(matrix), axis=1), 1e-300))
+    size[:n] = 1 / np.sqrt(np.abs(np.diag(Q)))
+    size[n:] = 1.0  # the multipliers' least norm is in their own units
+    solved = size[:, None] * np.linalg.lstsq(size[:, None] * matrix * size, size[:, None] * right, rcond=1e-11)[0]
+    lam = solved[n:, -1] + solved[n:, :-1] @ inputs["tau"].ravel()
+    return solved[:n, :-1], solved[:n, -1:], {"lam": lam}
+
+
 def nonminimal_form(
     Q: FloatArray, P: FloatArray, J: FloatArray, b: FloatArray, dependent: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
@@ -283,10 +311,11 @@ class ReferenceControls(ReferenceTwin):
     """A = phi_tau and B by the four terms of Eq. (40)."""
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        u_dot = np.linalg.solve(given["Q"], given["P"] + given["G"] @ inputs["tau"].reshape(-1, 1))
+        gain, drift, multipliers = _motion(given, inputs)
+        u_dot = drift + gain @ inputs["tau"].reshape(-1, 1)
         B = given["prescribed"] - given["X"] - given["J"] @ u_dot
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | _weight(given)
+        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | multipliers | _weight(given)
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
         if entry == "control":
@@ -383,6 +412,8 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
+    if mech.passive:
+        parts |= _passive_parts(scene)
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
     used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
     inputs = ca.vertcat(*(f.symbol for f in scene.input_fields()))
@@ -416,6 +447,19 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
         "X": _drift(scene, c.psi),
         "prescribed": ca.mtimes(c.Theta, c.psi),
     }
+
+
+def _passive_parts(scene: Scene) -> dict[str, Any]:
+    """J and j of J u' + j = 0, and chi with the chi' of holonomic rows below, every derivative a full Jacobian."""
+    rates, chi, speeds = [], [], []
+    for c in scene.mechanism.passive:
+        chi.append(c.chi)
+        holonomic = isinstance(c, PassiveHolonomic)
+        rates.append(_drift(scene, c.chi) if holonomic else c.chi)
+        speeds += rates[-1:] if holonomic else []
+    rate = ca.vertcat(*rates)
+    J = ca.jacobian(rate, scene.mechanism.u)
+    return {"passive_J": J, "passive_j": _drift(scene, rate), "closure": ca.vertcat(*chi, *speeds)}
 
 
 def _drift(scene: Scene, psi: Any) -> Any:

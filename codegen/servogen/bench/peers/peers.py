@@ -15,7 +15,7 @@ from servogen.loading import load_scene, scene_module
 from servogen.optimise.search import SEARCH
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
-from servogen.urdf.robot import load
+from servogen.urdf.load import load
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 NAIVE = "CasADi"
