@@ -82,9 +82,13 @@ def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Se
     return names
 
 
-@lru_cache(maxsize=128)  # all built-in scenes, and a test run's own beside them
 def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
     """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
+    return _optimised_once(scene, without)  # a cache takes a default left out and the same one given for two calls
+
+
+@lru_cache(maxsize=128)  # all built-in scenes, and a test run's own beside them
+def _optimised_once(scene: Scene, without: frozenset[str]) -> tuple[Formulation, SceneProgram]:
     formulation = derive(scene)
     lowered, model = lower(formulation), lower_model(scene)
     return formulation, optimise_formulation(formulation, lowered, model, without)

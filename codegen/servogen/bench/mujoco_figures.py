@@ -28,7 +28,8 @@ from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
-from servogen.urdf.robot import Robot, load
+from servogen.urdf.load import load
+from servogen.urdf.robot import Robot
 
 RATES = (1000, 500, 200)
 PANDA_TOOL = "panda_hand_tcp"

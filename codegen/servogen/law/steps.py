@@ -7,7 +7,7 @@ render/render.py. tests/law/test_law.py holds them together.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from servogen.results import Status
 
@@ -131,16 +131,23 @@ class Call:
 Step = Evaluate | Solve | Apply | React | Multiply | Invert | Project | Advance | Call
 
 
+Place = Literal["alone", "first", "behind", "quiet", "between"]
+"""In a routine of its own; the evaluation that others stand behind; behind one; the only one behind one in a routine
+without info; among calls of routines."""
+
+
 @dataclass(frozen=True)
 class Row:
     """What a step means beside its C and its exact answer.
 
-    word: its name in print. reads: the names it needs. shape: of what it leaves in `into`, from the shapes of what it
-    reads; KeyError or ShapeError where these do not fit. statuses: what it may say beside OK. refuses: it tells by its
-    own status when something it reads is not finite, so that nobody need look before.
+    word: its name in print. places: where it may stand in a routine, see law.Form. reads: the names it needs.
+    shape: of what it leaves in `into`, from the shapes of what it reads; KeyError or ShapeError where these do not fit.
+    statuses: what it may say beside OK. refuses: it tells by its own status when something it reads is not finite, so
+    that nobody need look before.
     """
 
     word: str
+    places: tuple[Place, ...]
     reads: Callable[[Any], tuple[str, ...]]
     shape: Callable[[Any, Mapping[str, Shape]], Shape]
     statuses: tuple[Status, ...]
@@ -208,6 +215,7 @@ _REFUSED = (Status.NONFINITE, Status.NOT_CONVERGED, Status.OVERFLOW)
 STEPS: dict[type, Row] = {
     Evaluate: Row(
         "evaluate",
+        ("first",),
         lambda step: (),
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
         (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
@@ -215,6 +223,7 @@ STEPS: dict[type, Row] = {
     ),
     Solve: Row(
         "solve",
+        ("alone", "behind"),
         lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
         _solved,
         (*_RANK, *_REFUSED),
@@ -222,6 +231,7 @@ STEPS: dict[type, Row] = {
     ),
     Apply: Row(
         "apply",
+        ("behind",),
         lambda step: (step.right, *([step.free] if step.free else [])),
         _solved,
         (*_RANK, Status.NONFINITE, Status.OVERFLOW),
@@ -229,6 +239,7 @@ STEPS: dict[type, Row] = {
     ),
     React: Row(
         "react",
+        ("behind", "quiet"),
         lambda step: (step.matrix, step.right, step.jacobian),
         _reacted,
         (*_RANK, *_REFUSED),
@@ -236,6 +247,7 @@ STEPS: dict[type, Row] = {
     ),
     Multiply: Row(
         "multiply",
+        ("behind",),
         lambda step: (step.entries, step.vector),
         _multiplied,
         (Status.OVERFLOW,),
@@ -243,6 +255,7 @@ STEPS: dict[type, Row] = {
     ),
     Invert: Row(
         "invert",
+        ("alone",),
         lambda step: (step.matrix,),
         lambda step, shapes: (shapes[step.matrix][1], shapes[step.matrix][0]),
         (*_RANK, *_REFUSED),
@@ -250,6 +263,7 @@ STEPS: dict[type, Row] = {
     ),
     Project: Row(
         "project",
+        ("alone",),
         lambda step: (step.of,),
         _projected,
         (*_RANK, *_REFUSED),
@@ -257,6 +271,7 @@ STEPS: dict[type, Row] = {
     ),
     Advance: Row(
         "advance",
+        ("between",),
         lambda step: (step.of, step.rate, step.dt),
         _advanced,
         (Status.NONFINITE, Status.OVERFLOW),
@@ -264,6 +279,7 @@ STEPS: dict[type, Row] = {
     ),
     Call: Row(
         "call",
+        ("between",),
         lambda step: (step.moved[1],) if step.moved else (),
         _called,
         (),  # those of the routine

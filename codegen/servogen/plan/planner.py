@@ -158,14 +158,15 @@ def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: Scen
     cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
-    fields = scene.input_fields() if scene.tau_is_input else (*scene.input_fields(), tau)
+    fields = {f.name: f for f in scene.input_fields()}
+    fields.setdefault("tau", tau)
     return Module(
         scene=scene.name,
         target=target,
         scene_hash=scene_hash(scene, program),
         parameters=_parameters(scene),
         model=_model(scene, staged),
-        inputs=_used(fields, staged.tick, {"q", "u", "tau"}),
+        inputs=_used(tuple(fields.values()), staged.tick, {"q", "u", "tau"}),
         prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from servogen.errors import SceneError
 from servogen.law.law import Law, Routine, of_the_state, shapes
 from servogen.law.steps import (
+    STATE,
     STEPS,
     SYSTEM,
     Apply,
@@ -24,7 +25,7 @@ from servogen.law.steps import (
     handed_out,
     row_of,
 )
-from servogen.plan.module import Kernel, Module, cost_of
+from servogen.plan.module import Module, cost_of
 from servogen.plan.operations import known_operations, solver_operations
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
@@ -107,7 +108,6 @@ def _context(module: Module) -> dict[str, Any]:
             "cost": lambda program: cost_of(program.operations()),
             "prepare_cost": cost_of(module.prepare.program.operations()),
             "solver_cost": _solver_cost(module),
-            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in module.kernels)),
             "statements": partial(statements, scalar=scalar, own=own),
             "pieces": partial(pieces, scalar=scalar, own=own),
             "pieces_anywhere": any(k.chunks for k in module.kernels),
@@ -136,9 +136,6 @@ def _law_context(module: Module) -> dict[str, Any]:
         "prefix_of": lambda solver: prefix if solver == SYSTEM else f"{prefix}_{solver}",
         "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
         "printed_once": _printed_once(law),
-        "emit": _emitted(module),
-        "tells_failure": any(r.info and r.evaluated() for r in law.routines),
-        "checked": _checked(module),
     }
 
 
@@ -151,17 +148,13 @@ def _word(step: Step) -> str:
     return row_of(step).word
 
 
-_WITH_FUNCTIONS = {"react", "project"}
-"""Steps whose C is more than a call: what it calls is printed before the first routine that takes them."""
-
-
 def _printed_once(law: Law) -> dict[str, list[Step]]:
-    """By routine, the steps before which their functions are printed."""
-    told: set[str] = set()
+    """By routine, the steps that no routine before it takes: what their C calls is printed ahead of it."""
+    told: set[Step] = set()
     found: dict[str, list[Step]] = {}
     for routine in law.routines:
-        found[routine.name] = [s for s in routine.steps if _word(s) in _WITH_FUNCTIONS - told]
-        told |= {_word(s) for s in routine.steps}
+        found[routine.name] = [s for s in routine.steps if s not in told]
+        told |= set(routine.steps)
     return found
 
 
@@ -188,31 +181,6 @@ def _shim(module: Module) -> dict[str, Any]:
         for k, (struct, f) in enumerate(fields)
     ]
     return {"arguments": arguments, "answer": module.system.answer}
-
-
-def _emitted(module: Module) -> dict[str, bool]:
-    """Which functions of the system's solver the package calls; no other is printed."""
-    steps = [s for s in module.law.steps() if getattr(s, "solver", None) == SYSTEM]
-    at_hand = any(isinstance(step, Apply) for step in steps)
-    bent = any(isinstance(step, Project) and step.curvature for step in steps)
-    in_prepare = module.known_matrix is not None and module.known_matrix.when == "prepare"
-    return {
-        "solve": any(isinstance(step, Solve | Project) for step in steps),
-        "pinv": bent or in_prepare or any(isinstance(step, Invert) for step in steps),
-        "known": at_hand,
-    }
-
-
-def _checked(module: Module) -> list[Kernel]:
-    """The kernels whose results are looked at before a step of the law takes them, for it would not refuse them."""
-    kernels: list[Kernel] = []
-    for routine in module.law.routines:
-        for step in routine.steps:
-            if isinstance(step, Evaluate) and not _refused_behind(routine):
-                kernels.append(module.kernel(step.into))
-            elif isinstance(step, Project) and not step.curvature:
-                kernels.append(module.kernel(step.quantities))
-    return kernels
 
 
 def _title(module: Module) -> str:
@@ -316,8 +284,9 @@ def _solving(module: Module, routine: Routine) -> dict[str, Any]:
 
 
 def _skipped(module: Module, routine: Routine) -> list[str]:
-    affine = any(isinstance(step, Project) and not step.curvature for step in routine.steps)
-    return [*module.skipped.get(routine.name, ()), *(["iteration: phi is affine in tau"] if affine else [])]
+    affine = [step for step in routine.steps if isinstance(step, Project) and not step.curvature]
+    reasons = [f"iteration: {step.value} is affine in {step.of.removeprefix(STATE)}" for step in affine]
+    return [*module.skipped.get(routine.name, ()), *reasons]
 
 
 def _sum(a: dict[str, int], b: dict[str, int]) -> dict[str, int]:

@@ -23,7 +23,6 @@ def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str
         "named": PLAIN,
         "solved": PLAIN,
         "lit": literal,
-        "emit": {"solve": True, "pinv": True, "known": False},  # the functions to print; a scene may need fewer
         "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],
         "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
     }

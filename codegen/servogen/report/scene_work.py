@@ -29,6 +29,7 @@ from servogen.report.stages import Skipped, Stage
 from servogen.scalars import EPSILON
 from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
+from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.drawing import motion_of
 from servogen.simulate.export import write_csv
@@ -44,9 +45,10 @@ BOARD = "cortex-m4"
 STATES_OF_A_BOX = 200
 """States from which the domain of a scene that draws its own is read off."""
 
-CAPTIONS = {
-    "psi": "Constraint error, and its prescribed decay",
-    "phi": "Constraint error, and its prescribed decay",
+_OF_THE_CONSTRAINT = "Constraint error, and its prescribed decay"
+
+CAPTIONS: dict[str, str] = {
+    **{system.constraint: _OF_THE_CONSTRAINT for system in SYSTEMS.values()},
     "controls": "Controls",
     "states": "Configuration and velocity",
     "outputs": "Outputs",

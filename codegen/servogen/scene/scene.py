@@ -24,7 +24,7 @@ from servogen.scene.names import check_identifier
 from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
-from servogen.scene.system import SYSTEMS, Kind, System
+from servogen.scene.system import SYSTEMS, Function, Kind, System
 
 State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
@@ -105,7 +105,8 @@ class Scene:
     @property
     def system(self) -> System:
         """What the kind's linear system is called."""
-        return SYSTEMS[self.kind]
+        system = SYSTEMS[self.kind]
+        return system.with_passive() if self.mechanism.passive else system
 
     @property
     def rows(self) -> int:
@@ -128,6 +129,14 @@ class Scene:
         rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
         return rows, self.controls
 
+    def shape_of(self, function: Function) -> tuple[int, ...]:
+        """The shape of what a function of the scene's twins returns."""
+        passive = self.mechanism.passive
+        p = sum(c.chi.size1() for c in passive)
+        c = p + sum(c.chi.size1() for c in passive if isinstance(c, PassiveHolonomic))
+        sizes = {"m": self.rows, "l": self.controls, "n": int(self.mechanism.u.size1()), "p": p, "c": c}
+        return tuple(sizes[letter] for letter in function.shape)
+
     def input_fields(self) -> tuple[Field, ...]:
         """Every input the scene may have, in the order of the generated struct: q, u, t, tau, y, the references."""
         mech = self.mechanism
@@ -139,13 +148,6 @@ class Scene:
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
         return (*fields, *self.references)
-
-    def passive_shapes(self) -> dict[str, tuple[int]]:
-        """The functions that come with passive constraints, and what they return: multipliers, and chi with chi'."""
-        passive = self.mechanism.passive
-        rows = sum(c.chi.size1() for c in passive)
-        rates = sum(c.chi.size1() for c in passive if isinstance(c, PassiveHolonomic))
-        return {"lam": (rows,), "closure": (rows + rates,)} if passive else {}
 
     @property
     def tau_is_input(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray
-from servogen.scene.constraints import Constraint, Holonomic, companion, expression_of, theta_parts
+from servogen.scene.constraints import Constraint, expression_of
 from servogen.scene.domain import domain_box, draw_states
 from servogen.scene.scene import Scene
 from servogen.simulate.ideal import value_at
@@ -190,7 +190,5 @@ def _sizes_of_psi(scene: Scene, parameters: Mapping[str, FloatArray]) -> FloatAr
 
 def _fastest(scene: Scene, constraint: Constraint, parameters: Mapping[str, FloatArray]) -> float:
     """The largest magnitude of an eigenvalue of what Theta prescribes, 1/s."""
-    parts = theta_parts(constraint)
-    matrix = companion(**parts) if isinstance(constraint, Holonomic) else parts["Theta"]
     inputs = {f.name: np.zeros(f.size) for f in scene.input_fields()} | {"tau": np.zeros(scene.controls)}
-    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, matrix, inputs | dict(parameters))))))
+    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, constraint.decay, inputs | dict(parameters))))))

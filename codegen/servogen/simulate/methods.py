@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
-from servogen.compiler import reference
+from servogen.compiler import optimised_scene, reference
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
@@ -71,7 +71,7 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
     moving = moving_references(scene, simulation, t)
     course = ca.Function("course", [t], list(moving.values()))
     nq, nu = mech.q.size1(), mech.u.size1()
-    controls = scene.system.tau_is_state
+    advances = bool(optimised_scene(scene)[0].law.advanced())  # the answer is tau', and tau a state
 
     evaluations = 0
 
@@ -86,16 +86,16 @@ def tight_end(scene: Scene, simulation: Simulation, duration: float, start: Traj
         q, u = x[:nq], x[nq : nq + nu]
         moved = course.call([ca.DM(now)])
         held = given | {n: np.array(v).ravel() for n, v in zip(moving, moved, strict=True)}
-        inputs = {"q": q, "u": u, "t": now, **held} | ({"tau": x[nq + nu :]} if controls else {})
+        inputs = {"q": q, "u": u, "t": now, **held} | ({"tau": x[nq + nu :]} if advances else {})
         answer = twin.control(**inputs).value
-        tau = x[nq + nu :] if controls else answer
+        tau = x[nq + nu :] if advances else answer
         q_dot, Q, P, G = (
             np.array(v, dtype=float) for v in plant.call([q, u, now, *(held[f.name] for f in fields), *defaults])
         )
         u_dot = np.linalg.solve(Q, P.ravel() + G @ tau)
-        return np.concatenate([q_dot.ravel(), u_dot, *([answer] if controls else [])])
+        return np.concatenate([q_dot.ravel(), u_dot, *([answer] if advances else [])])
 
-    x0 = np.concatenate([start.q[0], start.u[0], *([start.tau[0]] if controls else [])]).astype(float)
+    x0 = np.concatenate([start.q[0], start.u[0], *([start.tau[0]] if advances else [])]).astype(float)
     with np.errstate(all="ignore"):  # trial steps may go anywhere
         done = solve_ivp(rate, (0.0, duration), x0, method="DOP853", rtol=1e-12, atol=1e-14)
     end: FloatArray = done.y[: nq + nu, -1]

@@ -173,7 +173,7 @@ def _chatters(values: FloatArray) -> bool:
 def _constraint_panels(scene: Scene, trajectory: Trajectory, unit: str | None) -> list[Panel]:
     """One panel a row: the servo-constraint and its prescribed decay."""
     names = [f"{c.name} {k}" if c.size > 1 else c.name for c in scene.constraints for k in range(c.size)]
-    symbol = "ψ" if trajectory.constraint_name == "psi" else "φ"
+    symbol = {"psi": "ψ", "phi": "φ"}[trajectory.constraint_name]
 
     def row(k: int, name: str) -> Panel:
         def panel(axis: Any) -> None:

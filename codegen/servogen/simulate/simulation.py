@@ -214,8 +214,8 @@ def _check_run_domain(scene: Scene, simulation: Simulation) -> None:
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     """(name, SX symbol) of everything an output may use: parameters, inputs and tau."""
-    fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
-    return fields if scene.tau_is_input else [*fields, ("tau", scene.mechanism.tau)]
+    symbols = {f.name: f.symbol for f in (*scene.parameters, *scene.input_fields())}
+    return list((symbols | {"tau": scene.mechanism.tau}).items())
 
 
 def run_takes(scene: Scene) -> dict[str, dict[str, int]]:

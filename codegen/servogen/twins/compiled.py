@@ -1,6 +1,7 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
+import struct
 import tempfile
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -9,10 +10,12 @@ import numpy as np
 
 from servogen.law.law import shapes
 from servogen.plan.module import Module, Result, StructField
-from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.system import Function
 from servogen.tools import c_compiler, compile_c
+from servogen.twins.batch import Call, States, run
 from servogen.twins.interface import Twin, refusal
 
 if TYPE_CHECKING:
@@ -110,9 +113,13 @@ def _model_struct(module: Module) -> Any:
 
 
 def _info_struct(scalar: Scalar) -> Any:
-    real = c_real(scalar)
-    integers = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
-    return type("info", (ct.Structure,), {"_fields_": [*integers, ("sigma_min", real), ("residual", real)]})
+    members = [*((n, ct.c_int) for n in INFO_INTEGERS), *((n, c_real(scalar)) for n in INFO_REALS)]
+    return type("info", (ct.Structure,), {"_fields_": members})
+
+
+def _info_dtype(scalar: Scalar) -> np.dtype[Any]:
+    """An array of infos, as C lays it out."""
+    return np.dtype([*((n, "i4") for n in INFO_INTEGERS), *((n, np.dtype(scalar)) for n in INFO_REALS)], align=True)
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -124,10 +131,11 @@ def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatA
     return struct
 
 
+_STATUS, _PATH = {int(s): s for s in Status}, {int(p): p for p in Path}
+
+
 def _read_info(info: Any) -> Info:
-    return Info(
-        Status(info.status), Path(info.path), info.rank, info.sweeps, float(info.sigma_min), float(info.residual)
-    )
+    return Info(_STATUS[info.status], _PATH[info.path], info.rank, info.sweeps, info.sigma_min, info.residual)
 
 
 class CompiledTwin(Twin):
@@ -138,36 +146,74 @@ class CompiledTwin(Twin):
         self._library = library
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
-        self._input_type = _struct("input", module.inputs, scalar)
         self._info_type = _info_struct(scalar)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
+        self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
+        self._value_type = c_real(scalar) * scene.controls
+        self._found: dict[str, Any] = {}
         super().__init__(scene, scalar)
 
     def _function(self, entry: str) -> Any:
+        """A function of the library, kept once found: looking takes longer than most of them."""
+        if entry in self._found:
+            return self._found[entry]
         there = ("prepare", *(e.name for e in self._module.entry_points), *(r.name for r in self._module.law.routines))
         if entry not in there:
             raise AttributeError(
                 f"this package was built without {entry}; ask for it in entry_points (it has {', '.join(there)})"
             )
-        return getattr(self._library, f"{self._module.target.prefix}_{entry}")
+        return self._found.setdefault(entry, getattr(self._library, f"{self._module.target.prefix}_{entry}"))
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         params = _fill(self._params_type(), self._module.parameters, parameters)
         return Status(self._function("prepare")(ct.byref(params), ct.byref(self._model)))
 
-    def _input(self, inputs: dict[str, FloatArray]) -> Any:
-        return _fill(self._input_type(), self._module.inputs, inputs)
+    def _read(self, given: dict[str, Any], function: str) -> bytes:
+        """<prefix>_input as C lays it out; numbers, lists and vectors of the right length without a detour."""
+        return self._at_once(given) or self._input(self.read_inputs(given, function))
+
+    def _at_once(self, given: dict[str, Any]) -> bytes | None:
+        """None where something is missing, unknown, of another shape, or beyond the scalar: for whom to tell."""
+        numbers: list[float] = []
+        used = 0
+        for f in self._module.inputs:
+            value: Any = given.get(f.name, None if f.name in ("q", "u") else f.default)
+            used += f.name in given
+            kind = type(value)
+            if kind is float and f.size == 1:
+                numbers.append(value)
+            elif kind is np.ndarray and value.shape == (f.size,):
+                numbers += value.tolist()
+            elif kind in (list, tuple) and len(value) == f.size:
+                numbers += value
+            else:
+                return None
+        if used != len(given):
+            return None
+        try:
+            return self._layout.pack(*numbers)
+        except (struct.error, OverflowError, TypeError):
+            return None
+
+    def _input(self, inputs: dict[str, FloatArray]) -> bytes:
+        """<prefix>_input as C lays it out: one type of member, so no padding."""
+        with np.errstate(over="ignore"):  # beyond float32: an infinity, which the code refuses
+            arrays = [inputs[f.name].astype(self.dtype) for f in self._module.inputs]
+        return b"".join(a.tobytes() for a in arrays)
 
     def evaluate(self, entry: str, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, ...]]:
         """Call an entry point by its C name: its status and outputs, NaN where untouched."""
+        return self._outputs(entry, self._input(inputs))
+
+    def _outputs(self, entry: str, packed: bytes) -> tuple[Status, tuple[FloatArray, ...]]:
         function, results = self._function(entry), self._results(entry)
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
-        status = Status(function(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
+        status = Status(function(ct.byref(self._model), packed, *pointers))
+        matrices = {f.name for f in self.scene.system.functions if len(f.shape) == 2}
         shaped = (
-            o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
-            for o, r in zip(outputs, results, strict=True)
+            o.reshape(r.rows, r.columns) if r.name in matrices else o for o, r in zip(outputs, results, strict=True)
         )
         return status, tuple(shaped)
 
@@ -179,8 +225,8 @@ class CompiledTwin(Twin):
         name = law.routine(entry).result
         return (Result(name, *shapes(law)[name], "", ""),)
 
-    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
-        return self.evaluate(name, inputs)[1][0]
+    def _evaluate(self, name: str, inputs: bytes) -> FloatArray:
+        return self._outputs(name, inputs)[1][0]
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
         S = np.ascontiguousarray(matrix, self.dtype)
@@ -189,14 +235,37 @@ class CompiledTwin(Twin):
         self._function("pinv")(ct.c_void_p(S.ctypes.data), ct.c_void_p(inverse.ctypes.data), ct.byref(info))
         return inverse, _read_info(info)
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        value = last.copy()
+    def _control(self, entry: str, inputs: bytes, last: FloatArray, *numbers: float) -> Control:
+        value = self._value_type.from_buffer_copy(last)
         info = self._info_type()
-        before: list[Any] = [ct.byref(self._model), ct.byref(self._input(inputs))]
-        if entry == "step":
-            before.append(c_real(self.scalar)(dt))
-        self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
-        return Control(value, _read_info(info))
+        before: list[Any] = [ct.byref(self._model), inputs, *(c_real(self.scalar)(number) for number in numbers)]
+        self._function(entry)(*before, ct.byref(value), ct.byref(info))
+        return Control(np.frombuffer(value, self.dtype), _read_info(info))
+
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
+    ) -> Batch:
+        info = np.zeros(states.count, _info_dtype(self.scalar))
+        status = run(self._call(entry, *numbers), states, value, info, threads)
+        info["status"] = status  # prepare's, where it refused a state's parameters
+        info[status < 0] = _refused(info.dtype, status[status < 0])
+        return Batch(value, *(np.ascontiguousarray(info[n]) for n in (*INFO_INTEGERS, *INFO_REALS)))
+
+    def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
+        values = np.full((states.count, *self.scene.shape_of(offered)), np.nan, self.dtype)
+        run(self._call(offered.name), states, values, None, threads)
+        return values
+
+    def _call(self, entry: str, dt: float | None = None) -> Call:
+        parameters, inputs = ([f.name for f in fields] for fields in (self._module.parameters, self._module.inputs))
+        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt)
+
+
+def _refused(dtype: np.dtype[Any], status: Any) -> Any:
+    """What `info` says of states that were refused, beside the status."""
+    info = np.zeros(len(status), dtype)
+    info["status"], info["path"] = status, Path.NONE
+    return info
 
 
 class CompiledSolver:
@@ -208,9 +277,7 @@ class CompiledSolver:
         self.dtype = np.dtype(module.target.scalar)
         self._library = library
         self._prefix = module.target.prefix
-        real = "f8" if module.target.scalar == "float64" else "f4"
-        integers = [(name, "i4") for name in ("status", "path", "rank", "sweeps")]
-        self._info_type = np.dtype([*integers, ("sigma_min", real), ("residual", real)], align=True)
+        self._info_type = _info_dtype(module.target.scalar)
 
     def __repr__(self) -> str:
         return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"

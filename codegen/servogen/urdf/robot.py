@@ -115,7 +115,8 @@ class Robot:
         C = rate_map(self._base, self.q[3:7], n) if base else None
         Q, P = self._mass_matrix(), -self._forces(self._motion)
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
-        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known_rates=self._known, passive=self._closures,
+        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known_rates=self._known,
+                         passive=self._closures,
                          skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
 
     def close(

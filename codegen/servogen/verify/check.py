@@ -11,7 +11,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Project, Solve
 from servogen.package import Package
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
@@ -264,6 +264,7 @@ def _disagreement(here: Campaign, there: Campaign) -> str:
 
 
 def _output_check(case: _Case, target: str, o: OutputResult, references: dict[str, float]) -> OutputCheck:
+    judged = o.entry == "control" or o.output != case.scene.system.answer
     return OutputCheck(
         case.scene.name,
         case.scalar,
@@ -272,7 +273,7 @@ def _output_check(case: _Case, target: str, o: OutputResult, references: dict[st
         o.output,
         o.compared,
         o.max_ulps,
-        references.get(o.output if o.entry not in ("project", "step") else ""),
+        references.get(o.output) if judged else None,
         o.max_ratio,
         o.hash,
         o.histogram,
@@ -288,7 +289,7 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
     system = case.scene.system
-    names = (case.package.module.entry_points[0].name, system.matrix, system.right)
+    names = (system.constraint, system.matrix, system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -322,12 +323,15 @@ def _formula_problems(case: _Case, reference_ulps: dict[str, float]) -> list[str
 
 def _not_covered(case: _Case) -> list[str]:
     """What no vector judges, with the reason."""
-    projected = next((e for e in case.vectors.entries if e.call == "project"), None)
-    if projected is None:
-        return []
-    unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
-    of = f"{unknown} of {case.truth.drawn} states"
-    return [f"{case.package.prefix}: project at {of}, where Newton's method finds no nearest tau"] if unknown else []
+    steps = {r.name: r.steps[0] for r in case.truth.law.routines if isinstance(r.steps[0], Project)}
+    lines = []
+    for entry in (e for e in case.vectors.entries if e.name in steps):
+        unknown = int(np.sum(entry.statuses()[: case.truth.drawn] == ANY_STATUS))
+        if unknown:
+            of = f"{unknown} of {case.truth.drawn} states"
+            nearest = f"where Newton's method finds no nearest {steps[entry.name].into}"
+            lines.append(f"{case.package.prefix}: {entry.name} at {of}, {nearest}")
+    return lines
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:

@@ -1458,7 +1458,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     psi[1] = t20;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
     float *S, float *mass_pivot, float *mass_scale)
@@ -1496,7 +1495,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_z(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
@@ -1566,7 +1564,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S_z(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
@@ -1654,7 +1651,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
-
 
 int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and_path_f32_params *params,
     double_pendulum_energy_and_path_f32_model *model)

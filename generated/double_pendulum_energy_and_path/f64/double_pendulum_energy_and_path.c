@@ -1484,7 +1484,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     psi[1] = t20;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
     double *mass_pivot, double *mass_scale)
@@ -1522,7 +1521,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_z(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z,
@@ -1592,7 +1590,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S_z(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
@@ -1680,7 +1677,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
-
 
 int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params,
     double_pendulum_energy_and_path_model *model)

@@ -1852,7 +1852,6 @@ static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_
     psi[5] = t183;
 }
 
-
 static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S,
     float *mass_pivot, float *mass_scale)
 {
@@ -3035,7 +3034,6 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     mass_pivot[4] = t491;
     mass_scale[4] = t1099;
 }
-
 
 static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z,
     float *mass_pivot, float *mass_scale)
@@ -4599,7 +4597,6 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     mass_pivot[4] = t500;
     mass_scale[4] = t1515;
 }
-
 
 static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z,
     float *mass_pivot, float *mass_scale)
@@ -6576,7 +6573,6 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     mass_scale[4] = t1792;
 }
 
-
 static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in,
     float *S_w, float *z, float *y_w, float *recover, float *mass_pivot, float *mass_scale)
 {
@@ -8459,7 +8455,6 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     mass_pivot[4] = t500;
     mass_scale[4] = t1624;
 }
-
 
 int iiwa_pose_f32_prepare(const iiwa_pose_f32_params *params, iiwa_pose_f32_model *model)
 {

@@ -1604,7 +1604,6 @@ static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_
     psi[2] = t78;
 }
 
-
 static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
     double *mass_pivot, double *mass_scale)
 {
@@ -2308,7 +2307,6 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     mass_pivot[4] = t395;
     mass_scale[4] = t639;
 }
-
 
 static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z,
     double *mass_pivot, double *mass_scale)
@@ -3360,7 +3358,6 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     mass_pivot[4] = t391;
     mass_scale[4] = t1006;
 }
-
 
 static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
     double *z, double *mass_pivot, double *mass_scale)
@@ -4619,7 +4616,6 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     mass_pivot[4] = t391;
     mass_scale[4] = t1142;
 }
-
 
 static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *model, const iiwa_position_input *in,
     double *S_w, double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
@@ -5931,7 +5927,6 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     mass_pivot[4] = t391;
     mass_scale[4] = t1108;
 }
-
 
 int iiwa_position_prepare(const iiwa_position_params *params, iiwa_position_model *model)
 {

@@ -1393,7 +1393,6 @@ static PLANAR_ARM_3R_ALWAYS_INLINE void planar_arm_3r_eval_psi(const planar_arm_
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
     double *mass_pivot, double *mass_scale)
 {
@@ -1551,7 +1550,6 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *z,
     double *mass_pivot, double *mass_scale)
@@ -1843,7 +1841,6 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
     double *z, double *mass_pivot, double *mass_scale)
@@ -2145,7 +2142,6 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_prepare(const planar_arm_3r_params *params, planar_arm_3r_model *model)
 {

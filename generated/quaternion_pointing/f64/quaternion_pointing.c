@@ -1350,7 +1350,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_psi(const
     psi[2] = in->u[2];
 }
 
-
 static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_S(const quaternion_pointing_model *model,
     const quaternion_pointing_input *in, double *S)
 {
@@ -1386,7 +1385,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_S(const q
     S[7] = 0.0;
     S[8] = model->c2;
 }
-
 
 static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_z(const quaternion_pointing_model *model,
     const quaternion_pointing_input *in, double *z)
@@ -1455,7 +1453,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_z(const q
     z[1] = t53;
     z[2] = t57;
 }
-
 
 static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in,
     double *S, double *z)
@@ -1549,7 +1546,6 @@ static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model,
     z[1] = t59;
     z[2] = t63;
 }
-
 
 int quaternion_pointing_prepare(const quaternion_pointing_params *params, quaternion_pointing_model *model)
 {
