@@ -1,9 +1,8 @@
 """States brought onto the passive constraints: q by Newton's method, then u by its nearest admissible neighbour."""
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from servogen.results import FloatArray
 from servogen.scene.passive import PassiveHolonomic
@@ -17,7 +16,7 @@ CLOSED = 1e-10
 
 
 class Closer:
-    """Brings states of a scene onto its passive constraints, at the parameters' defaults."""
+    """Brings states of a scene onto its passive constraints; parameters are at their defaults unless given."""
 
     def __init__(self, scene: Scene) -> None:
         mech = scene.mechanism
@@ -36,47 +35,51 @@ class Closer:
         self._names = [f.name for f in fields]
         self._defaults = {f.name: np.array(f.default) for f in fields}
 
-    def _at(self, state: dict[str, FloatArray]) -> list[FloatArray]:
-        given = self._defaults | state
-        return [np.array(x) for x in self._function(*(ca.DM(given[n]) for n in self._names))]
+    def _at(self, states: State) -> list[FloatArray]:
+        """chi and its slope along u, what must vanish of the rates and its slope, C: each with N in front."""
+        count = len(states["q"])
+        given = [
+            np.broadcast_to(states.get(n, self._defaults[n]), (count, self._defaults[n].size)) for n in self._names
+        ]
+        found = self._function.map(count)(*(ca.DM(np.array(v, dtype=float).T) for v in given))
+        stacks = [np.array(x) for x in found]
+        return [x.reshape(len(x), count, x.shape[1] // count).transpose(1, 0, 2) for x in stacks]
 
-    def residual(self, state: dict[str, FloatArray]) -> float:
-        """The largest entry of chi, and of its rate or that of rolling."""
-        chi, _, slow, _, _ = self._at(state)
-        return float(np.max(np.abs([*chi.ravel(), *slow.ravel()]), initial=0.0))
+    def residual(self, states: State) -> FloatArray:
+        """Per state the largest entry of chi, and of its rate or that of rolling."""
+        chi, _, slow, _, _ = self._at(states)
+        return np.asarray(np.max(np.abs(np.concatenate([chi, slow], axis=1)), axis=(1, 2), initial=0.0))
 
-    def close(self, state: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
-        """The state with the nearest q and u that satisfy every passive constraint; None where Newton finds none."""
-        q, u = state["q"].astype(float), state["u"].astype(float)
-        for _ in range(_STEPS):
-            chi, along, _, _, C = self._at(state | {"q": q})
-            if not np.all(np.isfinite(along)):
-                return None
-            change = -np.linalg.pinv(along, rcond=1e-10) @ chi.ravel() if chi.size else np.zeros(C.shape[1])
-            step = C @ change
-            size = np.max(np.abs(step), initial=0.0)
-            q = q + step * min(1.0, _LONGEST / max(size, 1e-300))
-            if size <= 1e-14 * (1 + np.max(np.abs(q))):
-                break
-        chi, along, _, _, _ = self._at(state | {"q": q})
-        if np.max(np.abs(chi), initial=0.0) > CLOSED * max(1.0, np.max(np.abs(along), initial=0.0)):
-            return None
-        _, _, slow, J, _ = self._at(state | {"q": q, "u": u})
-        u = u - np.linalg.pinv(J, rcond=1e-10) @ slow.ravel()
-        _, _, slow, J, _ = self._at(state | {"q": q, "u": u})
-        if np.max(np.abs(slow), initial=0.0) > CLOSED * max(1.0, np.max(np.abs(J), initial=0.0)):
-            return None
-        return state | {"q": q, "u": u}
+    def close(self, states: State) -> tuple[State, NDArray[np.bool_]]:
+        """The states with the nearest q and u that satisfy every passive constraint, and for which there are some.
+
+        states: name -> (N, size); what is left out is at its default.
+        """
+        q, u = states["q"].astype(float), states["u"].astype(float)
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                chi, along, _, _, C = self._at(states | {"q": q})
+                step = -(C @ _inverse(along) @ chi)[:, :, 0]
+                size = np.max(np.abs(step), axis=1, initial=0.0)
+                q = q + step * np.minimum(1.0, _LONGEST / np.maximum(size, 1e-300))[:, None]
+                if np.all(size <= 1e-14 * (1 + np.max(np.abs(q), axis=1))):
+                    break
+            _, _, slow, J, _ = self._at(states | {"q": q, "u": u})
+            u = u - (_inverse(J) @ slow)[:, :, 0]
+            chi, along, slow, J, _ = self._at(states | {"q": q, "u": u})
+            good = (
+                _small(chi, along) & _small(slow, J) & np.all(np.isfinite(q), axis=1) & np.all(np.isfinite(u), axis=1)
+            )
+        return states | {"q": q, "u": u}, good
 
 
-def closed(scene: Scene, states: State) -> tuple[State, Any]:
-    """States brought onto the passive constraints one by one, and which of them could be."""
-    closer, count = Closer(scene), len(states["q"])
-    found = {name: values.copy() for name, values in states.items()}
-    good = np.zeros(count, bool)
-    for k in range(count):
-        state = closer.close({name: values[k] for name, values in states.items()})
-        if state is not None:
-            good[k] = True
-            found["q"][k], found["u"][k] = state["q"], state["u"]
-    return found, good
+def _inverse(matrices: FloatArray) -> FloatArray:
+    """The pseudo-inverse of each; zero, which moves nothing, for those that are not finite."""
+    good = np.all(np.isfinite(matrices), axis=(1, 2), keepdims=True)
+    return np.asarray(np.linalg.pinv(np.where(good, matrices, 0.0), rcond=1e-10))
+
+
+def _small(values: FloatArray, slopes: FloatArray) -> NDArray[np.bool_]:
+    """Per state, whether the values are rounding beside their slopes."""
+    size = np.maximum(1.0, np.max(np.abs(slopes), axis=(1, 2), initial=0.0))
+    return np.asarray(np.max(np.abs(values), axis=(1, 2), initial=0.0) <= CLOSED * size)

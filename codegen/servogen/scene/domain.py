@@ -7,7 +7,7 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray
-from servogen.scene.closing import closed
+from servogen.scene.closing import Closer
 from servogen.scene.scene import Scene, State
 from servogen.scene.symbols import Field
 
@@ -45,8 +45,9 @@ def _draw_closed(scene: Scene, count: int, generator: np.random.Generator) -> St
     given = {} if callable(scene.domain) else dict(scene.domain or {})
     low, high = next(_range(scene, f) for f in scene.input_fields() if f.name == "q")
     kept: list[State] = []
+    closer = Closer(scene)
     for _ in range(_ROUNDS):
-        states, good = closed(scene, _draw(scene, count, generator))
+        states, good = closer.close(_draw(scene, count, generator))
         if "q" in given:
             good &= np.all((low <= states["q"]) & (states["q"] <= high), axis=1)
         kept.append({name: values[good] for name, values in states.items()})

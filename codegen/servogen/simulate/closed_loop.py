@@ -25,6 +25,7 @@ from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay, prescribed, value_at
 from servogen.simulate.machine import Grid, grid_of, machine_arrays
+from servogen.simulate.manifold import closed_start, drift_of
 from servogen.simulate.runs import Runs, runs_of
 from servogen.simulate.simulation import (
     METHODS,
@@ -285,6 +286,7 @@ class ClosedLoop:
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
         values, own = self._parameters(parameters or {}, plant or {})
+        inputs |= closed_start(self.scene, inputs, own)
         return _Plan(simulation, grid, inputs, values, own, method, project)
 
     def _on(self, machine: Mapping[str, Any]) -> Simulation:
@@ -430,6 +432,7 @@ class ClosedLoop:
             parameters=parameters,
             plant=plan.plant,
             inputs=given,
+            drift=drift_of(self.scene, columns),
         )
 
     def _moving(self, t: FloatArray) -> dict[str, FloatArray]:

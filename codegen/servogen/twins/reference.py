@@ -100,6 +100,26 @@ class ReferenceTwin(Twin):
             return True
         return _ill_conditioned(Q, EPSILON[self.scalar])
 
+    @cached_property
+    def _joined(self) -> int:
+        """The rank of the passive constraints' J over the domain."""
+        defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
+        drawn = draw_states(self.scene, 8)
+        states = [{n: v[k] for n, v in drawn.items()} | defaults for k in range(8)]
+        return max(int(np.linalg.matrix_rank(self._parts(state)["passive_J"], rtol=1e-9)) for state in states)
+
+    def _dead(self, given: dict[str, FloatArray]) -> bool:
+        """Whether the passive constraints lose rank, as J Q^-1 J^T shows it with a diagonal of ones."""
+        if "passive_J" not in given:
+            return False
+        J = given["passive_J"]
+        A = J @ np.linalg.solve(given["Q"], J.T)
+        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        if not np.all(np.isfinite(A)):
+            return False
+        sigma = np.linalg.svd(A / np.outer(size, size), compute_uv=False)
+        return bool(sigma[self._joined - 1] <= 4 * len(A) * EPSILON[self.scalar] * sigma[0])
+
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
         if not finite(rounded.values()):
@@ -143,7 +163,7 @@ class ReferenceTwin(Twin):
         given = self.parts(inputs)
         if names and set(names) <= set(_WITHOUT_MASS):
             result = {n: given[_WITHOUT_MASS[n]] for n in names}
-        elif self._singular(given["Q"]):
+        elif self._singular(given["Q"]) or self._dead(given):
             return Status.SINGULAR_MASS, {}
         else:
             try:
