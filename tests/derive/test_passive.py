@@ -22,7 +22,7 @@ def scene_of(mech: sg.Mechanism) -> sg.Scene:
 def values(scene: sg.Scene, *names: str) -> Any:
     formulation, fields = derive_servo(scene), scene.input_fields()
     function = ca.Function("f", [f.symbol for f in fields], [formulation[n] for n in names])
-    return lambda state: [np.array(x) for x in function(*(state[f.name] for f in fields))]
+    return lambda state: [np.array(x) for x in function.call([state[f.name] for f in fields])]
 
 
 @settings(max_examples=6, deadline=None)

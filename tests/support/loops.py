@@ -55,7 +55,7 @@ def exact_motion(scene: sg.Scene, state: dict[str, Any]) -> tuple[Any, Any, Any]
 
         def motion(force: Any, drift: Any) -> Any:
             right = mp.matrix([*force, *(drift[row] for row in rows)])
-            return mp.lu_solve(kkt, right)
+            return list(mp.lu_solve(kkt, right))
 
         none = mp.zeros(J.rows, 1)
         free = motion(P, -j)
@@ -66,7 +66,7 @@ def exact_motion(scene: sg.Scene, state: dict[str, Any]) -> tuple[Any, Any, Any]
         for k, x in enumerate(gains):
             lam = [a + mp.mpf(float(state["tau"][k])) * b for a, b in zip(lam, x[n:], strict=True)]
         kept = mp.matrix([[J[row, a] for a in range(n)] for row in rows])
-        B = (mp.lu_solve(kept * kept.T, kept * J.T)).T
+        B = (mp.inverse(kept * kept.T) * kept * J.T).T
         return S, z, B * mp.lu_solve(B.T * B, mp.matrix(lam))
 
 

@@ -63,7 +63,7 @@ def respond(scene: Scene, K: Any, gauge: Gauge | None = None) -> tuple[Any, Any,
     both, mass = _solve_definite_mass(scene, ca.horzcat(K.T, J.T))
     V, held = both[:, :m], both[:, m:]
     A = _gram(held, J)
-    Y, mass = _solve_closure(A, ca.mtimes(J, V), mass)  # A^-1 J Q^-1 K^T
+    Y, mass = _solve_closure(scene, A, ca.mtimes(J, V), mass)  # A^-1 J Q^-1 K^T
     return (V - ca.mtimes(held, Y)).T, -ca.mtimes(Y.T, j), mass
 
 
@@ -76,7 +76,7 @@ def accelerations(scene: Scene, force: Any, stabilised: bool = False) -> tuple[A
     J, j = closure.J[kept, :], closure.j[kept]
     both, mass = _solve_definite_mass(scene, ca.horzcat(force, J.T))
     free, held = both[:, 0], both[:, 1:]
-    lam, mass = _solve_closure(_gram(held, J), -(ca.mtimes(J, free) + j), mass)
+    lam, mass = _solve_closure(scene, _gram(held, J), -(ca.mtimes(J, free) + j), mass)
     return free + ca.mtimes(held, lam), mass
 
 
@@ -89,7 +89,7 @@ def passive_quantities(scene: Scene) -> tuple[Quantity, ...]:
     kept = independent_rows(scene, closure.J)
     J, j = closure.J[kept, :], closure.j[kept]
     both, mass = _solve_definite_mass(scene, ca.horzcat(mech.P + ca.mtimes(mech.G, mech.tau), J.T))
-    lam, _ = _solve_closure(_gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
+    lam, _ = _solve_closure(scene, _gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
     if len(kept) < closure.J.size1():
         lam = _least(closure.J, J, lam)
     return (
@@ -150,9 +150,16 @@ def _gram(X: Any, J: Any) -> Any:
     return ca.triu2symm(ca.triu(ca.densify(ca.mtimes(J, X))))
 
 
-def _solve_closure(A: Any, right: Any, mass: MassTreatment) -> tuple[Any, MassTreatment]:
-    """A^-1 right; A's pivots join those of Q."""
+def _solve_closure(scene: Scene, A: Any, right: Any, mass: MassTreatment) -> tuple[Any, MassTreatment]:
+    """A^-1 right; A's pivots join those of Q.
+
+    Where J loses rank, a dead centre, a whole row of it may vanish, and with that its entry on A's diagonal: so pivots
+    are judged by the largest such entry over the domain.
+    """
     X, own = solve_definite(A, right)
-    pivots, scales = (*mass.pivots, *own.pivots), (*mass.scales, *own.scales)
+    values = sample(scene, ca.diag(A))
+    largest = np.max(np.where(np.isfinite(values), values, 0.0), axis=(0, 2))
+    scales = (*mass.scales, *(ca.SX(float(f"{size:.3g}")) for size in largest))
+    pivots = (*mass.pivots, *own.pivots)
     reason = f"{mass.reason}; passive constraints: one LDL^T of J Q^-1 J^T, {A.size1()}x{A.size1()}"
     return X, replace(mass, pivots=pivots, scales=scales, reason=reason)

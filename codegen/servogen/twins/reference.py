@@ -101,24 +101,28 @@ class ReferenceTwin(Twin):
         return _ill_conditioned(Q, EPSILON[self.scalar])
 
     @cached_property
-    def _joined(self) -> int:
-        """The rank of the passive constraints' J over the domain."""
+    def _joined(self) -> tuple[int, FloatArray]:
+        """The rank of the passive constraints' J over the domain, and the largest diagonal of J Q^-1 J^T."""
         defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
-        drawn = draw_states(self.scene, 8)
-        states = [{n: v[k] for n, v in drawn.items()} | defaults for k in range(8)]
-        return max(int(np.linalg.matrix_rank(self._parts(state)["passive_J"], rtol=1e-9)) for state in states)
+        drawn, rank, largest = draw_states(self.scene, 32), 0, np.zeros(1)
+        for k in range(32):
+            given = self._parts({n: v[k] for n, v in drawn.items()} | defaults)
+            J = given["passive_J"]
+            rank = max(rank, int(np.linalg.matrix_rank(J, rtol=1e-9)))
+            largest = np.maximum(largest, np.diag(J @ np.linalg.solve(given["Q"], J.T)))
+        return rank, largest
 
     def _dead(self, given: dict[str, FloatArray]) -> bool:
-        """Whether the passive constraints lose rank, as J Q^-1 J^T shows it with a diagonal of ones."""
+        """Whether the passive constraints lose rank, as J Q^-1 J^T shows it beside its size over the domain."""
         if "passive_J" not in given:
             return False
         J = given["passive_J"]
         A = J @ np.linalg.solve(given["Q"], J.T)
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         if not np.all(np.isfinite(A)):
             return False
-        sigma = np.linalg.svd(A / np.outer(size, size), compute_uv=False)
-        return bool(sigma[self._joined - 1] <= 4 * len(A) * EPSILON[self.scalar] * sigma[0])
+        rank, largest = self._joined
+        sigma = np.linalg.svd(A / np.sqrt(np.outer(largest, largest)), compute_uv=False)
+        return bool(sigma[rank - 1] <= 4 * len(A) * EPSILON[self.scalar])
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
