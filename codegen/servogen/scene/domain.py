@@ -21,7 +21,7 @@ _DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
 def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
     """`count` states from the scene's domain: name -> array (count, size), for every input the scene may have."""
     generator = np.random.default_rng(seed)
-    if not scene.mechanism.passive:
+    if not scene.mechanism.passive or count == 0:
         return _draw(scene, count, generator)
     drawn = scene.__dict__.setdefault("_closed_states", {})  # closing takes its time, and many ask for the same
     if (count, seed) not in drawn:

@@ -4,6 +4,8 @@ q: angles of crank, coupler and rocker against the ground, which joins the two f
 constraint: the crank's and coupler's ends meet the rocker's. A Grashof linkage, so that the crank turns all round.
 """
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -23,7 +25,7 @@ ref = sg.References(speed=sg.Ref(3.0, order=1, unit="rad/s", text="of the crank"
 q, u, tau = ca.SX.sym("angle", 3), ca.SX.sym("speed", 3), ca.SX.sym("torque")
 
 
-def along(angle):  # type: ignore[no-untyped-def]
+def along(angle: Any) -> Any:
     """The unit vector at an angle."""
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
 
