@@ -8,7 +8,7 @@ import pytest
 import servogen as sg
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servogen.derive.servo import derive_servo
+from servogen.compiler import derived_scene
 from servogen.scene.domain import draw_states
 from support.loops import exact_motion, random_mechanism
 
@@ -20,7 +20,7 @@ def scene_of(mech: sg.Mechanism) -> sg.Scene:
 
 
 def values(scene: sg.Scene, *names: str) -> Any:
-    formulation, fields = derive_servo(scene), scene.input_fields()
+    formulation, fields = derived_scene(scene)[0], scene.input_fields()
     function = ca.Function("f", [f.symbol for f in fields], [formulation[n] for n in names])
     return lambda state: [np.array(x) for x in function.call([state[f.name] for f in fields])]
 
@@ -121,4 +121,4 @@ def test_errors_of_scenes_with_passive_constraints() -> None:
     lopsided = sg.Mechanism(**two_bars(Q=ca.DM([[2, 0.1], [0.3, 1]])))
     scene = sg.Scene("crank", lopsided, [sg.Holonomic("x", lopsided.q[0], Theta1=-1.0, Theta2=-1.0)])
     with pytest.raises(sg.SceneError, match="passive constraints need a Q that is symmetric"):
-        derive_servo(scene)
+        derived_scene(scene)

@@ -4,15 +4,16 @@ import casadi as ca
 import numpy as np
 import servogen as sg
 from scipy.integrate import solve_ivp
+from servogen.compiler import derived_scene
+from servogen.derive.formulation import MassFindings
 from servogen.derive.plant import derive_plant
-from servogen.derive.servo import derive_servo
 from support.andrews import ACCELERATIONS, END, MULTIPLIERS, START, TORQUE, scene
 
 
 def test_inverse_and_multipliers() -> None:
     """Asked for the published beta'' the answer is the published torque, with the published multipliers."""
     squeezer = scene()
-    formulation, fields = derive_servo(squeezer), squeezer.input_fields()
+    formulation, fields = derived_scene(squeezer)[0], squeezer.input_fields()
     function = ca.Function("f", [f.symbol for f in fields], [formulation[n] for n in ("S", "z", "lam", "closure")])
     reference = sg.reference(squeezer)
     state = {"q": START, "u": [0.0] * 7, "speed": [0.0], "speed_dot": [ACCELERATIONS[0]], "tau": [TORQUE]}
@@ -28,7 +29,7 @@ def test_inverse_and_multipliers() -> None:
 def test_forward_motion() -> None:
     """Under the published torque: accelerations at the start, and the state at 0.03 s."""
     squeezer = scene()
-    (_, u_dot), _ = derive_plant(squeezer)
+    (_, u_dot), _ = derive_plant(squeezer, MassFindings(symmetric=True, positive_definite=True, remarks=()))
     mech = squeezer.mechanism
     plant = ca.Function("f", [mech.q, mech.u, mech.tau], [u_dot.expression])
     first = np.array(plant(START, np.zeros(7), TORQUE)).ravel()

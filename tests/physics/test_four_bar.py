@@ -5,8 +5,9 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import servogen as sg
-from servogen.loading import load_scene, load_simulation
+from servogen.loading import load_scene
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.wanted import load_simulation
 
 DIGITS = 50
 

@@ -11,11 +11,12 @@ import casadi as ca
 import numpy as np
 
 from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
-from servogen.derive.formulation import MassTreatment, Quantity
-from servogen.derive.mass import sample, solve_definite, solve_with_mass
+from servogen.derive.formulation import MassFindings, MassTreatment, Quantity
+from servogen.derive.mass import solve_definite, solve_with_mass
 from servogen.errors import SceneError
 from servogen.scene.known_rates import Gauge
 from servogen.scene.passive import PassiveHolonomic
+from servogen.scene.samples import AT_DEFAULTS, Samples
 from servogen.scene.scene import Scene
 
 _NEGLIGIBLE = 1e-9
@@ -51,45 +52,51 @@ def closure_of(scene: Scene, gauge: Gauge | None = None, stabilised: bool = Fals
     return Closure(J, j, ca.vertcat(*values), ca.vertcat(*speeds))
 
 
-def respond(scene: Scene, K: Any, gauge: Gauge | None = None) -> tuple[Any, Any, MassTreatment]:
+def respond(
+    samples: Samples, found: MassFindings, K: Any, gauge: Gauge | None = None
+) -> tuple[Any, Any, MassTreatment]:
     """W and shift with K u' = W (P + G tau) + shift, for rows K; about the gauge's u' and force where there is one."""
+    scene = samples.scene
     if not scene.mechanism.passive:
-        W_transposed, mass = solve_with_mass(scene, K.T, transposed=True)
+        W_transposed, mass = solve_with_mass(scene, found, K.T, transposed=True)
         return W_transposed.T, ca.SX.zeros(K.size1()), mass
     closure = closure_of(scene, gauge)
-    kept = independent_rows(scene, closure.J)
+    kept = independent_rows(samples, closure.J)
     J, j = closure.J[kept, :], closure.j[kept]
     m = K.size1()
-    both, mass = _solve_definite_mass(scene, ca.horzcat(K.T, J.T))
+    both, mass = _solve_definite_mass(samples, found, ca.horzcat(K.T, J.T))
     V, held = both[:, :m], both[:, m:]
     A = _gram(held, J)
-    Y, mass = _solve_closure(scene, A, ca.mtimes(J, V), mass)  # A^-1 J Q^-1 K^T
+    Y, mass = _solve_closure(samples, A, ca.mtimes(J, V), mass)  # A^-1 J Q^-1 K^T
     return (V - ca.mtimes(held, Y)).T, -ca.mtimes(Y.T, j), mass
 
 
-def accelerations(scene: Scene, force: Any, stabilised: bool = False) -> tuple[Any, MassTreatment]:
+def accelerations(
+    samples: Samples, found: MassFindings, force: Any, stabilised: bool = False
+) -> tuple[Any, MassTreatment]:
     """u' under `force`, P + G tau. stabilised: as in the plant of a simulation."""
+    scene = samples.scene
     if not scene.mechanism.passive:
-        return solve_with_mass(scene, force)
+        return solve_with_mass(scene, found, force)
     closure = closure_of(scene, stabilised=stabilised)
-    kept = independent_rows(scene, closure.J)
+    kept = independent_rows(samples, closure.J)
     J, j = closure.J[kept, :], closure.j[kept]
-    both, mass = _solve_definite_mass(scene, ca.horzcat(force, J.T))
+    both, mass = _solve_definite_mass(samples, found, ca.horzcat(force, J.T))
     free, held = both[:, 0], both[:, 1:]
-    lam, mass = _solve_closure(scene, _gram(held, J), -(ca.mtimes(J, free) + j), mass)
+    lam, mass = _solve_closure(samples, _gram(held, J), -(ca.mtimes(J, free) + j), mass)
     return free + ca.mtimes(held, lam), mass
 
 
-def passive_quantities(scene: Scene) -> tuple[Quantity, ...]:
+def passive_quantities(samples: Samples, found: MassFindings) -> tuple[Quantity, ...]:
     """lam, of the state and tau, and closure: chi, then chi' of the holonomic rows; nothing where all is free."""
-    mech = scene.mechanism
+    scene, mech = samples.scene, samples.scene.mechanism
     if not mech.passive:
         return ()
     closure = closure_of(scene)
-    kept = independent_rows(scene, closure.J)
+    kept = independent_rows(samples, closure.J)
     J, j = closure.J[kept, :], closure.j[kept]
-    both, mass = _solve_definite_mass(scene, ca.horzcat(mech.P + ca.mtimes(mech.G, mech.tau), J.T))
-    lam, _ = _solve_closure(scene, _gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
+    both, mass = _solve_definite_mass(samples, found, ca.horzcat(mech.P + ca.mtimes(mech.G, mech.tau), J.T))
+    lam, _ = _solve_closure(samples, _gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
     if len(kept) < closure.J.size1():
         lam = _least(closure.J, J, lam)
     return (
@@ -98,18 +105,17 @@ def passive_quantities(scene: Scene) -> tuple[Quantity, ...]:
     )
 
 
-def independent_rows(scene: Scene, J: Any) -> list[int]:
+def independent_rows(samples: Samples, J: Any) -> list[int]:
     """Rows of J that are independent over the domain and make up all others: by pivoting over states drawn.
 
     SceneError for a row that vanishes, and where no choice serves at every state.
     """
-    values = sample(scene, J)
-    values = values[: len(values) // 4]  # those at the parameters' defaults, where the states are closed
+    values = samples.values(J)[:AT_DEFAULTS]  # where the states are closed
     values = values[np.all(np.isfinite(values), axis=(1, 2))]
     if not len(values):
         raise SceneError("passive: J is not finite at any state drawn from the domain; give a domain in which it is")
     size = np.linalg.norm(values, axis=2, keepdims=True)
-    labels = [f"{c.name!r}" for c in scene.mechanism.passive for _ in range(c.chi.size1())]
+    labels = [f"{c.name!r}" for c in samples.scene.mechanism.passive for _ in range(c.chi.size1())]
     rest = values / np.where(size == 0, 1, size)
     taken: list[int] = []
     while len(taken) < len(labels):
@@ -135,8 +141,8 @@ def _least(J: Any, kept: Any, lam: Any) -> Any:
     return ca.mtimes(B, shared)
 
 
-def _solve_definite_mass(scene: Scene, right: Any) -> tuple[Any, MassTreatment]:
-    X, mass = solve_with_mass(scene, right)
+def _solve_definite_mass(samples: Samples, found: MassFindings, right: Any) -> tuple[Any, MassTreatment]:
+    X, mass = solve_with_mass(samples.scene, found, right)
     if mass.factor is None:
         raise SceneError(
             f"passive constraints need a Q that is symmetric and positive definite; {mass.reason.split(':')[0]}. "
@@ -150,14 +156,14 @@ def _gram(X: Any, J: Any) -> Any:
     return ca.triu2symm(ca.triu(ca.densify(ca.mtimes(J, X))))
 
 
-def _solve_closure(scene: Scene, A: Any, right: Any, mass: MassTreatment) -> tuple[Any, MassTreatment]:
+def _solve_closure(samples: Samples, A: Any, right: Any, mass: MassTreatment) -> tuple[Any, MassTreatment]:
     """A^-1 right; A's pivots join those of Q.
 
     Where J loses rank, a dead centre, a whole row of it may vanish, and with that its entry on A's diagonal: so pivots
     are judged by the largest such entry over the domain.
     """
     X, own = solve_definite(A, right)
-    values = sample(scene, ca.diag(A))
+    values = samples.values(ca.diag(A))
     largest = np.max(np.where(np.isfinite(values), values, 0.0), axis=(0, 2))
     scales = (*mass.scales, *(ca.SX(float(f"{size:.3g}")) for size in largest))
     pivots = (*mass.pivots, *own.pivots)

@@ -23,10 +23,7 @@ def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
     generator = np.random.default_rng(seed)
     if not scene.mechanism.passive or count == 0:
         return _draw(scene, count, generator)
-    drawn = scene.__dict__.setdefault("_closed_states", {})  # closing takes its time, and many ask for the same
-    if (count, seed) not in drawn:
-        drawn[count, seed] = _draw_closed(scene, count, generator)
-    return {name: values.copy() for name, values in drawn[count, seed].items()}
+    return _draw_closed(scene, count, generator)
 
 
 def _draw(scene: Scene, count: int, generator: np.random.Generator) -> State:

@@ -134,8 +134,9 @@ class Robot:
             B = ca.mtimes(self.rotation(frame_a), self.rotation(frame_b).T)
             rows.append(ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2)
         entries = [e for e in ca.vertcat(*rows).elements() if not e.is_zero()]
-        if not entries or any(e.is_constant() for e in entries):
-            told = "no joint can bring them together" if entries else "no joint moves one from the other"
+        apart = self._frame(frame_a).body != self._frame(frame_b).body
+        if not (entries and apart) or any(e.is_constant() for e in entries):
+            told = "no joint can bring them together" if apart else "no joint moves one from the other"
             raise SceneError(
                 f"close: frames {frame_a!r} and {frame_b!r}: {told}; name two that joints between them move"
             )

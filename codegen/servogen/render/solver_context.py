@@ -23,6 +23,16 @@ def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str
         "named": PLAIN,
         "solved": PLAIN,
         "lit": literal,
-        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],
-        "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
+        "statuses": statuses(),
+        "paths": paths(),
     }
+
+
+def statuses() -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each status, the remarks before the refusals."""
+    return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))]
+
+
+def paths() -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each path."""
+    return [(path.name, int(path), PATH_MEANING[path]) for path in Path]
