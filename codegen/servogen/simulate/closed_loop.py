@@ -26,6 +26,7 @@ from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay, prescribed, value_at
 from servogen.simulate.machine import Grid, grid_of, machine_arrays
+from servogen.simulate.manifold import closed_start, drift_of
 from servogen.simulate.options import Options, options_of
 from servogen.simulate.runs import Runs, runs_of
 from servogen.simulate.simulation import (
@@ -219,6 +220,7 @@ class ClosedLoop:
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
         values, own = self._parameters(given.parameters or {}, given.plant or {})
+        inputs |= closed_start(self.scene, inputs, own)
         return _Plan(simulation, grid, inputs, values, own, method, given.project)
 
     def _grid(self, simulation: Simulation, options: Options) -> Grid:
@@ -355,6 +357,7 @@ class ClosedLoop:
             parameters=parameters,
             plant=plan.plant,
             inputs=given,
+            drift=drift_of(self.scene, columns),
         )
 
     def _moving(self, t: FloatArray) -> dict[str, FloatArray]:
