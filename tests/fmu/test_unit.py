@@ -14,8 +14,8 @@ import servogen as sg
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.wanted import load_simulation
 
 HOLD = 0.002
 STEPS = 60

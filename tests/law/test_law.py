@@ -7,8 +7,7 @@ from importlib.resources import files
 import casadi as ca
 import pytest
 import servogen as sg
-from servogen.compiler import compile_scene, target_for
-from servogen.derive.derive import derive
+from servogen.compiler import compile_scene, derived_scene, target_for
 from servogen.law.law import IllegalLawError, Law, Routine, check_legal, of_the_state, parse, shapes
 from servogen.law.steps import (
     STEPS,
@@ -33,9 +32,9 @@ from servogen.verify.vectors import ANY_ANSWER, ANY_STATUS
 from support.models import awkward_scenes, random_scene
 
 LAWS = [
-    derive(random_scene(3, "mixed", y="input")).law,
-    derive(random_scene(3, "controls", y=lambda m: -m.mechanism.tau)).law,
-    derive(awkward_scenes()["one_control"]).law,
+    derived_scene(random_scene(3, "mixed", y="input"))[0].law,
+    derived_scene(random_scene(3, "controls", y=lambda m: -m.mechanism.tau))[0].law,
+    derived_scene(awkward_scenes()["one_control"])[0].law,
     plan_solver_only(2, 3, Target("float64", "p"), sg.Solver()).law,
 ]
 
@@ -43,7 +42,7 @@ LAWS = [
 def ideal() -> Law:
     scene = random_scene(7, "nonholonomic")
     weight = ca.diag(ca.SX([1, 2, 3]))
-    return derive(replace(scene, mode="ideal", weight=weight, y="input")).law
+    return derived_scene(replace(scene, mode="ideal", weight=weight, y="input"))[0].law
 
 
 @pytest.mark.parametrize("law", [*LAWS, ideal()], ids=lambda law: law.name)

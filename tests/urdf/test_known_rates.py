@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.compiler import derived_scene
 from servogen.derive.constraint_rates import cut
-from servogen.derive.servo import derive_servo
 from servogen.loading import load_scene
 from support.robots import A1, A1_FEET, IIWA, IIWA_TOOL, draw_state
 
@@ -15,7 +15,7 @@ GAINS: dict[str, Any] = {"Theta1": -2.0, "Theta2": -3.0}
 
 
 def derived(scene: sg.Scene) -> Any:
-    formulation = derive_servo(scene)
+    formulation = derived_scene(scene)[0]
     fields = scene.input_fields()
     symbols = [f.symbol for f in (*fields, *scene.parameters)]
     defaults = [ca.DM(f.default) for f in scene.parameters]

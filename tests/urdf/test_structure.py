@@ -10,9 +10,7 @@ import casadi as ca
 import numpy as np
 import servogen as sg
 from servogen.bench.peers.robots import adam_scene
-from servogen.compiler import compile_scene, target_for
-from servogen.derive.lower import lower
-from servogen.derive.servo import derive_servo
+from servogen.compiler import compile_scene, derived_scene, target_for
 from servogen.loading import scene_module
 from servogen.optimise.passes import optimise
 from servogen.plan.stage import cut, stage
@@ -25,7 +23,7 @@ def test_operations_of_the_iiwa() -> None:
     ref = sg.References(r=[0.5, 0.0, 0.6])
     psi = robot.position(IIWA_TOOL) - ref.r
     scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
-    tick = stage(optimise(lower(derive_servo(scene)))).tick
+    tick = stage(optimise(derived_scene(scene)[1])).tick
     assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1090
 
 

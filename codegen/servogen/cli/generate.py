@@ -10,7 +10,7 @@ from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
 from servogen.errors import SceneError
 from servogen.fmu.unit import build_fmu, write_fmu
-from servogen.loading import builtin_names, load_scene, load_simulation, scene_summary
+from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
@@ -19,6 +19,7 @@ from servogen.scene.scene import Scene
 from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
+from servogen.simulate.wanted import load_simulation
 
 CORE = "servogen_core"
 
@@ -193,4 +194,6 @@ def _show(package: Package) -> None:
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
     counts = point["operations"]
-    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or "the solver alone"
+    copied = any(e.name == name for e in package.module.entry_points)
+    none = "none: inputs and constants as they are" if copied else "the solver alone"
+    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or none

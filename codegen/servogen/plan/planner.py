@@ -14,7 +14,6 @@ from servogen.plan.chunks import split
 from servogen.plan.known_matrix import plan_known_matrix
 from servogen.plan.mathematics import Math, pair_angles
 from servogen.plan.module import EntryPoint, Kernel, KnownMatrix, Module, Prepare, Result, StructField, Target
-from servogen.plan.noise import row_noise
 from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -26,15 +25,23 @@ from servogen.scene_program import SceneProgram
 
 
 def plan(
-    formulation: Formulation, optimised: SceneProgram, target: Target, entry_points: Sequence[str] | None = None
+    formulation: Formulation,
+    optimised: SceneProgram,
+    target: Target,
+    noise: Sequence[float] | None = None,
+    entry_points: Sequence[str] | None = None,
 ) -> Module:
-    """Every decision about the C of one scene. entry_points: functions to leave in, with what they call; None: all."""
+    """Every decision about the C of one scene.
+
+    noise: per row of the solver's matrix, at or below which it counts as zero where the user gave no atol.
+    entry_points: functions to leave in, with what they call; None: all.
+    """
     scene = formulation.scene
     law = formulation.law if entry_points is None else restricted(formulation.law, entry_points)
     staged = stage(_needed(optimised, formulation, law))
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
-    solvers = _plan_solvers(formulation, optimised, law, target)
+    solvers = _plan_solvers(formulation, noise, law, target)
     known = _plan_known_matrix(law, staged, cutter, solvers)
     law = check_legal(_at_hand(law, known.name) if known is not None else law)
     for step in law.steps():
@@ -73,12 +80,14 @@ def _needed(optimised: SceneProgram, formulation: Formulation, law: Law) -> Prog
     return dataclasses.replace(optimised.program, outputs=outputs)
 
 
-def _plan_solvers(formulation: Formulation, optimised: SceneProgram, law: Law, target: Target) -> dict[str, SolverPlan]:
+def _plan_solvers(
+    formulation: Formulation, noise: Sequence[float] | None, law: Law, target: Target
+) -> dict[str, SolverPlan]:
     """The law's solvers; tolerances per row, and damping, are the user's for the scene's own system alone."""
     users = formulation.scene.solver
     other = Solver(method=users.method, rank=users.rank)
     planned = {
-        name: plan_scene_solver(formulation, optimised, target.scalar)
+        name: _plan_system(formulation.scene, noise, target.scalar)
         if name == SYSTEM
         else plan_solver(*shape, target.scalar, other)
         for name, shape in law.solvers
@@ -110,12 +119,11 @@ def _at_hand(law: Law, matrix: str) -> Law:
     return dataclasses.replace(law, routines=tuple(routines))
 
 
-def plan_scene_solver(formulation: Formulation, optimised: SceneProgram, scalar: Scalar) -> SolverPlan:
+def _plan_system(scene: Scene, noise: Sequence[float] | None, scalar: Scalar) -> SolverPlan:
     """The solver of the scene's system, without a root; rows' tolerances that the user left open are their noise."""
-    scene, solver = formulation.scene, formulation.scene.solver
-    if solver.atol is None:
-        noise = row_noise(scene, optimised.program, formulation.factorised, scalar)
-        solver = dataclasses.replace(solver, atol=noise)
+    solver = scene.solver
+    if solver.atol is None and noise is not None:
+        solver = dataclasses.replace(solver, atol=tuple(noise))
     return plan_solver(*scene.system_shape, scalar, solver)
 
 

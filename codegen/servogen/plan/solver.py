@@ -46,6 +46,9 @@ class SolverPlan(Layout):
     qr_limit: float  # the same for bound |S|_F^2
     square_ranges: tuple[tuple[int, int], ...]  # per row: biased exponents of its square that need no scaling
     answer_range: tuple[int, int]  # the same for tau tau^T
+    sigma_min: Literal["bound", "exact"]  # what info tells of the smallest singular value
+    least_rounding: float  # what the rounding of the QR and of its triangle's inverse takes from sigma_min / |S|_F
+    least_share: float  # what the rounding of the bound itself leaves of it
     consistency: float  # relative residual of a row that counts as met
     row_range: RowRange | None  # form "row" only; None where tolerances leave no room for the short form
     root: str = ""  # the square root to call; "": that of <math.h>
@@ -72,6 +75,21 @@ class SolverPlan(Layout):
     def ladder(self) -> tuple[Path, ...]:
         certified = (Path.NORMAL, Path.QR) if self.form == "full" and self.method == "auto" else ()
         return (*certified, self.path)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether info tells a lower bound of sigma_min where a certificate held."""
+        return self.form == "full" and self.method == "auto" and self.sigma_min == "bound"
+
+    @property
+    def sigma_share(self) -> float:
+        """The bound is at least this part of sigma_min, but for rounding (numerics.md: The smallest singular value)."""
+        return math.sqrt(2 / (1 + math.sqrt(self.count)))
+
+    @property
+    def mean_share(self) -> float:
+        """1 / min(m, l): what the mean of as many eigenvalues is of their sum."""
+        return _in_scalar(1 / self.count, self.scalar, "mean_share")
 
     @property
     def atol_used(self) -> bool:
@@ -123,6 +141,7 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
         converged=(max(m, l) + 4) * eps / 2,
         **certificates(m, l, eps, rtol),
         **ranges(scalar, l, atol),
+        sigma_min=solver.sigma_min,
         consistency=CONSISTENCY * max(m, l) * eps,
         row_range=range_of_a_row(l, atol[0], damping, scalar) if form == "row" else None,
     )

@@ -58,6 +58,8 @@ def certificates(m: int, l: int, eps: float, rtol: float) -> dict[str, Any]:
         "qr_rounding": ROUNDING * max(m, l) * eps,
         "qr_margin": qr_margin,
         "qr_limit": 0.875 / qr_margin**2,
+        "least_rounding": (ROUNDING * max(m, l) + 0.51 * (min(m, l) - 2)) * eps,
+        "least_share": 1 - min(m, l) * (min(m, l) + 4) * eps,
     }
 
 

@@ -33,7 +33,7 @@ from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
-from servogen.render.solver import PLAIN, paths, solver_context, statuses
+from servogen.render.solver_context import PLAIN, paths, solver_context, statuses
 from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
 from servogen.scalars import BITS, EPSILON, Scalar

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 
-from servogen.loading import load_simulation
 from servogen.results import FloatArray
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 
 SCENES = (
     "double_pendulum_energy_free_y",

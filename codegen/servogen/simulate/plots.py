@@ -46,7 +46,7 @@ STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
-_NARROW = STYLE | {
+NARROW = STYLE | {
     "font.size": 9,
     "axes.labelsize": 9,
     "axes.titlesize": 9,
@@ -76,7 +76,7 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
 
 def narrow_figures(scene: Scene, simulation: Simulation, trajectory: Trajectory) -> dict[str, Figure]:
     """The same by name, as wide as a telephone's screen and without a title: for the columns of a page."""
-    with matplotlib.rc_context(_NARROW):
+    with matplotlib.rc_context(NARROW):
         panels = _panels(scene, simulation, trajectory)
         return {name: _figure(trajectory, own, (4.0, 0.6 + 1.9 * len(own))) for name, own in panels.items()}
 

@@ -4,7 +4,7 @@ import ctypes as ct
 import struct
 import tempfile
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,10 +17,6 @@ from servogen.scene.system import Function
 from servogen.tools import c_compiler, compile_c
 from servogen.twins.batch import Call, States, run
 from servogen.twins.interface import Twin, refusal
-
-if TYPE_CHECKING:
-    from servogen.package import Package
-
 
 CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 
@@ -44,13 +40,28 @@ void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 """
 
 
+class Built(Protocol):
+    """A folder of generated C and what it was printed from, as a Package is; scene: None for a solver alone."""
+
+    @property
+    def path(self) -> FilePath: ...
+    @property
+    def module(self) -> Module: ...
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def prefix(self) -> str: ...
+    @property
+    def core(self) -> FilePath | None: ...
+
+
 def stack_source(module: Module) -> str:
     """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
     return _STACK.format(p=module.target.prefix, real=module.target.real, **_shape(module))
 
 
 def load_package(
-    package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
+    package: Built, compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
 ) -> "CompiledTwin | CompiledSolver":
     """Compile and load. Raises ToolMissing without a C compiler, CompilerUnusable or CompilerRefused where it fails."""
     module = package.module
@@ -60,14 +71,14 @@ def load_package(
     return CompiledTwin(package.scene, module, library)
 
 
-def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
+def compile_library(package: Built, compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
     """The package's C, and `extra` C beside it, as a shared library in this process."""
     with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
         return ct.CDLL(str(build_library(package, FilePath(folder), compiler, flags, extra)))
 
 
 def build_library(
-    package: "Package", folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
+    package: Built, folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
 ) -> FilePath:
     """The shared library as a file in `folder`. Raises ToolMissing and CompilerRefused as load_package does."""
     command = c_compiler(compiler)

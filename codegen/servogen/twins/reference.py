@@ -1,7 +1,7 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
-from servogen.scene.domain import draw_states
+from servogen.scene.samples import EXAMINED, draw_samples
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
@@ -27,7 +27,7 @@ from servogen.twins.interface import Twin, finite, refusal
 _WITHOUT_MASS = {"psi", "phi", "A"}
 
 
-Noise = Callable[[Scene, Scalar], tuple[float, ...]]
+Noise = Callable[[Scene, Scalar], Sequence[float] | None]
 """Per row of the system's matrix, the rounding noise of the generated code where the row vanishes."""
 
 
@@ -82,8 +82,8 @@ class ReferenceTwin(Twin):
     def _definite(self) -> bool:
         """Whether Q is symmetric and positive definite over the domain: then any other is as bad as a singular one."""
         defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
-        drawn = draw_states(self.scene, 32)
-        for k in range(32):
+        drawn = draw_samples(self.scene).examined
+        for k in range(EXAMINED):
             Q = self._parts({n: v[k] for n, v in drawn.items()} | defaults)["Q"]
             size = np.sqrt(np.abs(np.diag(Q)))
             if not np.array_equal(Q, Q.T) or not np.all(size > 0):
@@ -266,7 +266,7 @@ class ReferenceIdeal(ReferenceTwin):
 
     def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
         self._reaction = policy_for(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
-        self._dependent = dependent_columns(scene, constraint_rows(scene)[1])
+        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene)[1])
         super().__init__(scene, scalar, noise)
 
     @staticmethod

@@ -6,13 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.compiler import optimised_scene
+from servogen.compiler import compile_scene, optimised_scene, target_for
 from servogen.ir.evaluate import node_values
 from servogen.loading import load_scene
-from servogen.plan import noise
-from servogen.plan.planner import plan_scene_solver
 from servogen.results import Status
 from servogen.scene.solver import Solver
+from servogen.survey import noise
 
 U = 2.0**-53
 
@@ -26,7 +25,7 @@ def scene_of(*rows: Any, domain: Any = None, **options: Any) -> sg.Scene:
 
 
 def atol(scene: sg.Scene, scalar: str = "float64") -> tuple[float, ...]:
-    return plan_scene_solver(*optimised_scene(scene), scalar).atol  # type: ignore[arg-type]
+    return compile_scene(scene, target_for(scene.name, scalar, None)).solver.atol  # type: ignore[union-attr, arg-type]
 
 
 def cosine(q: Any) -> tuple[Any, Any]:

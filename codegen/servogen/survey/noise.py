@@ -22,20 +22,17 @@ from numpy.typing import NDArray
 
 from servogen.ir.adjoint import adjoints, partials, times
 from servogen.ir.evaluate import node_values
-from servogen.ir.program import Program, live, rebuild
+from servogen.ir.program import Program, only
 from servogen.ir.rounding import local_errors
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene, State
 
 Numbers = NDArray[np.int64]
 
 STARTS = 32
 """States of the domain from which the search for zeros of a row starts."""
-
-DRAWN = 256
-"""States drawn of a domain that is given as a function; their bounding box is taken for the domain's."""
 
 STEPS = 32
 """The most steps of one search. At a double zero (where the slope vanishes too) a step halves the distance only."""
@@ -59,7 +56,7 @@ MARGIN = 0.25
 """Added to the binary logarithm of the noise before it is rounded up to an integer: a factor of 2^(1/4)."""
 
 
-def row_noise(scene: Scene, program: Program, matrix: str, scalar: Scalar) -> tuple[float, ...]:
+def survey_noise(samples: Samples, program: Program, matrix: str, scalar: Scalar) -> tuple[float, ...]:
     """Per row of the program's output `matrix`: what the row may come out as where it should be zero, a power of two.
 
     The noise of an entry is its rounding error to first order: the rounding of every operation, and half an ulp of
@@ -67,7 +64,7 @@ def row_noise(scene: Scene, program: Program, matrix: str, scalar: Scalar) -> tu
     at the worst zero. It is 0 for a row that has no zero in the domain's box, and for a row whose noise vanishes with
     it, because such a row is accurate however small it is. Parameters are at their defaults.
     """
-    rows, row, x = _zeros(scene, program, matrix)
+    rows, row, x = _zeros(samples, program, matrix)
     noise = rows.noise(row, x, scalar)
     largest = [float(np.max(noise[row == i], initial=0.0)) for i in range(rows.count)]
     limit = float(np.finfo(scalar).max) / 4  # noise as large as this belongs to a row that overflows
@@ -83,7 +80,7 @@ class _Rows:
 
     def __init__(self, scene: Scene, program: Program, matrix: str) -> None:
         output = program.output(matrix)
-        self._part = rebuild(program, sorted(live(program, output.nodes)), [output])
+        self._part = only(program, matrix)
         self.count, self.columns = output.rows, output.columns
         fixed = {f.name: np.array(f.default) for f in scene.parameters}
         leaves = [(k, i.const) for k, i in enumerate(self._part.instrs) if isinstance(i.const, tuple)]
@@ -143,15 +140,14 @@ class _Rows:
 
 @lru_cache(maxsize=32)
 @np.errstate(all="ignore")  # at some states the matrix is NaN or infinite; their searches end and are not kept
-def _zeros(scene: Scene, program: Program, matrix: str) -> tuple[_Rows, Numbers, FloatArray]:
+def _zeros(samples: Samples, program: Program, matrix: str) -> tuple[_Rows, Numbers, FloatArray]:
     """The rows, and the zeros found of them (row, x) in the domain's box at which their noise does not vanish, too.
 
     All in float64: a zero lies where it lies, whatever the number type of the generated code.
     """
-    rows = _Rows(scene, program, matrix)
-    drawn = draw_states(scene, DRAWN, seed=4)
-    low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in domain_box(scene, drawn).items()}) for side in (0, 1))
-    starts = rows.pick(drawn)[:STARTS]
+    rows = _Rows(samples.scene, program, matrix)
+    low, high = (rows.pick({n: np.atleast_2d(b[side]) for n, b in samples.box.items()}) for side in (0, 1))
+    starts = rows.pick(samples.searched)[:STARTS]
     row, x = np.repeat(np.arange(rows.count), STARTS), np.tile(starts, (rows.count, 1))
     size = np.max(np.abs(rows.at(row, x)[0]), axis=1, initial=0.0)
     known = [size[(row == i) & np.isfinite(size)] for i in range(rows.count)]

@@ -9,32 +9,30 @@ import casadi as ca
 import numpy as np
 
 from servogen.derive.formulation import Formulation
-from servogen.derive.lower import lower_quantities, parameter_defaults
-from servogen.derive.mass import sample
+from servogen.derive.lower import parameter_defaults
 from servogen.errors import SceneError
 from servogen.ir.evaluate import evaluate
+from servogen.ir.program import Program, only
 from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
 from servogen.scene.constraints import Nonholonomic, expression_of
-from servogen.scene.domain import draw_states
+from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene
 
-_SAMPLES = 32
 
-
-def check_reach(formulation: Formulation) -> tuple[str, ...]:
+def survey_reach(samples: Samples, formulation: Formulation, lowered: Program) -> tuple[str, ...]:
     """SceneError naming a constraint whose row is identically zero; a remark naming rows that are never independent.
 
-    A row is identically zero when it is within its own rounding error of zero at every state drawn.
+    A row is identically zero when it is within its own rounding error of zero at every state drawn. lowered: the
+    formulation's program.
     """
     scene, name = formulation.scene, formulation.scene.system.reach
     labels = _row_labels(scene)
     owners = [c for c in scene.constraints for _ in range(c.size)]
-    quantities = [q for q in formulation.quantities if q.name == name]
-    program = number_values(optimise(lower_quantities(scene, quantities)))
-    states = draw_states(scene, _SAMPLES) | parameter_defaults(scene)
+    program = number_values(optimise(only(lowered, name)))
+    states = samples.examined | parameter_defaults(scene)
     values = evaluate(program, states)[name]
     bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, *formulation[name].shape)
     good = np.all(np.isfinite(values), axis=(1, 2)) & np.all(np.isfinite(bounds), axis=(1, 2))
@@ -63,14 +61,14 @@ def _remedy(scene: Scene, constraint: Any) -> str:
     )
 
 
-def check_finite(formulation: Formulation) -> None:
+def survey_values(samples: Samples, formulation: Formulation) -> None:
     """SceneError naming the constraint, or else the quantity, that is a finite number at no state drawn."""
     scene = formulation.scene
     symbol = scene.system.constraint
     named = [(f"constraint {c.name!r}: {symbol}", expression_of(c)) for c in scene.constraints]
     named += [(q.name, q.expression) for q in formulation.quantities if q.name not in (symbol, scene.system.reach)]
     for what, expression in named:
-        if not np.any(np.all(np.isfinite(sample(scene, expression)), axis=(1, 2))):
+        if not np.any(np.all(np.isfinite(samples.values(expression)), axis=(1, 2))):
             raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
 
 
