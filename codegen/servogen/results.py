@@ -61,7 +61,10 @@ INFO_INTEGERS, INFO_REALS = ("status", "path", "rank", "sweeps"), ("sigma_min", 
 
 @dataclass(frozen=True)
 class Info:
-    """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau."""
+    """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau.
+
+    By the paths NORMAL and QR sigma_min is a proven lower bound, unless `sg.Solver(sigma_min="exact")` was asked for.
+    """
 
     status: Status
     path: Path
