@@ -226,10 +226,12 @@ class _Names:
 
 
 def _variant(plan: SolverPlan) -> str:
-    """A mark of options that are not the usual ones of the shape; "" where all are."""
+    """A mark of options that are not the usual ones of the shape, whatever the rows' tolerances; "" where all are."""
     usual = plan_solver(plan.m, plan.l, plan.scalar, Solver())
-    asked, plain = ((p.method, p.rank, p.rtol, p.damping, bool(p.root)) for p in (plan, replace(usual, root="own")))
-    return "" if asked == plain else f"_{hashlib.sha256(repr(asked).encode()).hexdigest()[:8]}"
+    of_rows = {name: getattr(usual, name) for name in ("atol", "square_ranges", "row_range")}
+    asked, plain = (replace(x, root="") for x in (replace(plan, **of_rows), usual))
+    mark = "" if asked == plain else f"_{hashlib.sha256(repr(asked).encode()).hexdigest()[:8]}"
+    return mark if plan.root else f"{mark}_libm"
 
 
 def ordered(blocks: Iterable[Block]) -> list[Block]:
