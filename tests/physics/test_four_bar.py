@@ -4,6 +4,7 @@ from typing import Any
 
 import mpmath as mp
 import numpy as np
+import pytest
 import servogen as sg
 from servogen.loading import load_scene
 from servogen.simulate.closed_loop import ClosedLoop
@@ -68,7 +69,12 @@ def test_torque_and_kinematics_in_the_minimal_coordinate() -> None:
 
 def test_the_loop_stays_closed_over_turns_of_the_crank() -> None:
     scene, simulation = load_simulation("four_bar")
-    run = ClosedLoop(scene, simulation).run()
+    loop = ClosedLoop(scene, simulation)
+    with pytest.raises(
+        sg.SceneError, match=r"passive constraints \('loop'\) are off by 4\.\d+, and Newton's method finds no"
+    ):
+        loop.run(plant={"L_0": 5.0})
+    run = loop.run()
     assert run.verdict.held
     assert run.q[-1, 0] > run.q[0, 0] + 2 * np.pi
     assert np.max(run.drift) < 1e-8

@@ -511,7 +511,8 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     if mech.passive:
         parts |= _passive_parts(scene)
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
-    used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
+    always = {"y", "tau"} if mech.passive else {"y"}  # the multipliers are of tau
+    used = [f.name for f in fields if f.name in always or ca.depends_on(everything, f.symbol)]
     inputs = ca.vertcat(*(f.symbol for f in scene.input_fields()))
     fixed = [name for name, part in parts.items() if not ca.depends_on(ca.densify(part), inputs)]
     names = {"in": [f.name for f in fields], "out": list(parts), "used": used, "fixed": fixed}
