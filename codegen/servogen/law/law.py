@@ -11,6 +11,7 @@ from servogen.law.steps import (
     Call,
     Evaluate,
     Invert,
+    Limit,
     Pattern,
     Project,
     React,
@@ -159,7 +160,7 @@ def restricted(law: Law, names: Collection[str]) -> Law:
     )
 
 
-_Solving = Solve | Apply | React | Invert | Project
+_Solving = Solve | Apply | React | Limit | Invert | Project
 
 
 def of_the_state(routine: Routine) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from servogen.errors import SceneError
-from servogen.results import STATUS_MEANING, Path, Status
+from servogen.results import OF_LIMITS, STATUS_MEANING, Path, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.solver import Solver
 
@@ -319,8 +319,11 @@ PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
 """The names of the solver's equation S tau = z in comments where a scene has none of its own."""
 
 
-def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
-    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name."""
+def solver_context(
+    plan: SolverPlan, prefix: str, literal: Callable[[float], str], limited: bool = False
+) -> dict[str, Any]:
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. limited: there are limits."""
+    said = [s for s in Status if limited or s not in OF_LIMITS]
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -332,7 +335,7 @@ def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str
         "solved": PLAIN,
         "lit": literal,
         "emit": {"solve": True, "pinv": True, "known": False},  # the functions to print; a scene may need fewer
-        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))],
+        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))],
         "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
     }
 

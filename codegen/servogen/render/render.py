@@ -87,7 +87,7 @@ def _context(module: Module) -> dict[str, Any]:
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
-        numbers = solver_context(module.solver, module.target.prefix, lit)
+        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits is not None)
     else:
         evaluating = (Status.OK, *STEPS[Evaluate].statuses)
         numbers = {
@@ -114,6 +114,7 @@ def _context(module: Module) -> dict[str, Any]:
             "mt": math_context(scalar) if module.own_functions else None,
             "reads": reads,
             "initialiser": partial(_initialiser, scalar=scalar),
+            "bound": module.limits,
             "info_type": f"{module.target.prefix}_info",
             "in_prepare": module.known.kernel if module.known else None,
             "free": module.free,
@@ -262,6 +263,8 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
         manifest["solver"]["known"] = module.known.when if module.known else None
+        if module.limits is not None:
+            manifest["solver"]["limits"] = module.limits.to_json()
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
     if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}

@@ -24,11 +24,11 @@ CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 # One call for a stack of systems: a loop in C, so that Python's call costs nothing.
 _STACK = """
 #include "{p}.h"
-void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {limits}{real} *tau, {p}_info *info)
 {{
     long k;
     for (k = 0; k < n; ++k) {{
-        {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, tau + k * {l}, info + k);
+        {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, {at}tau + k * {l}, info + k);
     }}
 }}
 void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
@@ -43,7 +43,12 @@ void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 
 def stack_source(module: Module) -> str:
     """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
-    return _STACK.format(p=module.target.prefix, real=module.target.real, **_shape(module))
+    real, shape = module.target.real, _shape(module)
+    limits, at = "", ""
+    if module.limits is not None:
+        limits = f"const {real} *lower, const {real} *upper, "
+        at = "lower + k * {l}, upper + k * {l}, ".format(**shape)
+    return _STACK.format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
 
 
 def load_package(
@@ -106,13 +111,16 @@ def _model_struct(module: Module) -> Any:
     size = module.solver.m * module.solver.l
     fields = (*module.model, StructField("known_matrix", size), StructField("known_pinv", size))
     base = _struct("model", fields, module.target.scalar)
-    return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module.target.scalar))]})
+    return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module))]})
 
 
-def _info_struct(scalar: Scalar) -> Any:
-    real = c_real(scalar)
-    integers = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
-    return type("info", (ct.Structure,), {"_fields_": [*integers, ("sigma_min", real), ("residual", real)]})
+def _info_struct(module: Module) -> Any:
+    """<prefix>_info, member by member."""
+    real = c_real(module.target.scalar)
+    members = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
+    members += [(n, real) for n in ("sigma_min", "residual")]
+    members += [("scale", real), ("active", ct.c_int)] if module.limits is not None else []
+    return type("info", (ct.Structure,), {"_fields_": members})
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -125,9 +133,8 @@ def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatA
 
 
 def _read_info(info: Any) -> Info:
-    return Info(
-        Status(info.status), Path(info.path), info.rank, info.sweeps, float(info.sigma_min), float(info.residual)
-    )
+    numbers = [getattr(info, name) for name, _ in info._fields_[2:]]
+    return Info(Status(info.status), Path(info.path), *numbers)
 
 
 class CompiledTwin(Twin):
@@ -139,7 +146,7 @@ class CompiledTwin(Twin):
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
         self._input_type = _struct("input", module.inputs, scalar)
-        self._info_type = _info_struct(scalar)
+        self._info_type = _info_struct(module)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         super().__init__(scene, scalar)
@@ -208,15 +215,19 @@ class CompiledSolver:
         self.dtype = np.dtype(module.target.scalar)
         self._library = library
         self._prefix = module.target.prefix
-        real = "f8" if module.target.scalar == "float64" else "f4"
-        integers = [(name, "i4") for name in ("status", "path", "rank", "sweeps")]
-        self._info_type = np.dtype([*integers, ("sigma_min", real), ("residual", real)], align=True)
+        self.limited = module.limits is not None
+        self._info_type = np.dtype(_info_struct(module))
 
     def __repr__(self) -> str:
         return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"
 
-    def solve(self, S: Any, z: Any, y: Any = None, last: Any = None) -> tuple[FloatArray, Info]:
-        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front."""
+    def solve(
+        self, S: Any, z: Any, y: Any = None, last: Any = None, *, lower: Any = None, upper: Any = None
+    ) -> tuple[FloatArray, Info]:
+        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front.
+
+        lower, upper: (l,), limits of tau, for a solver that was built with limits; None: no limit.
+        """
         S, many = self._stack(S, (self.m, self.l), "S")
         z, _ = self._stack(z, (self.m,), "z", len(S))
         y = None if y is None else self._stack(y, (self.l,), "y", len(S))[0]
@@ -224,7 +235,20 @@ class CompiledSolver:
             np.zeros((len(S), self.l), self.dtype) if last is None else self._stack(last, (self.l,), "last", len(S))[0]
         )
         tau = tau.copy()
-        return self._call("solve_stack", many, [S, z, y], tau)
+        return self._call("solve_stack", many, [S, z, y, *self._limits(lower, upper, len(S))], tau)
+
+    def _limits(self, lower: Any, upper: Any, count: int) -> list[FloatArray]:
+        """Both limits, a stack of each; none for a solver without. TypeError for limits that it cannot take."""
+        if not self.limited:
+            if lower is not None or upper is not None:
+                raise TypeError("this solver takes no limits; build it with sg.build_solver(..., limits=True)")
+            return []
+        stacks = []
+        for name, given, none in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
+            value = np.full((count, self.l), none, self.dtype) if given is None else np.asarray(given, self.dtype)
+            value = np.broadcast_to(value, (count, self.l)) if value.ndim < 2 and value.size in (1, self.l) else value
+            stacks.append(self._stack(value, (self.l,), name, count)[0])
+        return stacks
 
     def pinv(self, S: Any, last: Any = None) -> tuple[FloatArray, Info]:
         """S+ of shape (l, m), or (N, l, m)."""
@@ -258,5 +282,4 @@ class CompiledSolver:
         status = Status(int(one["status"]))
         if status < 0:
             return out[0], refusal(status)
-        numbers = (int(one["rank"]), int(one["sweeps"]), float(one["sigma_min"]), float(one["residual"]))
-        return out[0], Info(status, Path(int(one["path"])), *numbers)
+        return out[0], Info(status, Path(int(one["path"])), *(one[name].item() for name in one.dtype.names[2:]))
