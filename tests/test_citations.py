@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servogen.plan.solver import SWEEP_CAPS
+from servogen.plan.thresholds import SWEEP_CAPS
 from servogen.verify.stress.bars import BARS
 
 ROOT = Path(__file__).parents[1]

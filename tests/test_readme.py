@@ -74,10 +74,21 @@ def test_the_simulation_of_the_docs_runs_as_they_say(tmp_path):
     assert told["decay_error"]["lag"] < 1e-9
 
 
+def test_the_units_of_the_docs_run_as_they_say(tmp_path):
+    """v' = -2 (v - 1.5) from 0.2: 1.0218 m/s after half a second, up to what the hold of 1 ms leaves."""
+    for name, text in zip(
+        ("cart", "cart_units"), re.findall(r"```python\n(.*?)```", PYTHON, re.DOTALL)[:2], strict=True
+    ):
+        (tmp_path / f"{name}.py").write_text(text)
+    done = subprocess.run([sys.executable, "cart_units.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout.split()[0]) == pytest.approx(1.5 - 1.3 * math.exp(-1.0), abs=1e-3)
+
+
 def test_the_controller_in_mujoco_runs_as_the_docs_say(tmp_path, need_module):
     """v' = -2 (v - 1.5) from rest: 1.4963 m/s after three seconds, up to what the hold of 2 ms leaves."""
     need_module("mujoco", "mujoco")
-    cart, in_mujoco = re.findall(r"```python\n(.*?)```", PYTHON, re.DOTALL)
+    cart, _, in_mujoco = re.findall(r"```python\n(.*?)```", PYTHON, re.DOTALL)
     (tmp_path / "cart.py").write_text(cart)
     (tmp_path / "cart_in_mujoco.py").write_text(in_mujoco)
     done = subprocess.run([sys.executable, "cart_in_mujoco.py"], cwd=tmp_path, capture_output=True, text=True)

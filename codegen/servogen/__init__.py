@@ -6,9 +6,10 @@ The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints B
 from servogen import urdf
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
+from servogen.fmu.unit import build_fmu
 from servogen.package import Package
 from servogen.remarks import Remark
-from servogen.results import Control, Info, Path, Status
+from servogen.results import Batch, Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
@@ -22,6 +23,7 @@ __version__ = VERSION
 
 __all__ = [
     "Actuators",
+    "Batch",
     "Control",
     "ControlsInvolved",
     "Holonomic",
@@ -42,6 +44,7 @@ __all__ = [
     "Status",
     "__version__",
     "build",
+    "build_fmu",
     "build_solver",
     "reference",
     "urdf",

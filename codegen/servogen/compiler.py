@@ -1,6 +1,7 @@
-"""The pipeline, on one page: derive, lower, optimise, plan, render, write."""
+"""The pipeline, on one page: survey, derive, lower, optimise, plan, render, write."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,19 +12,24 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
+from servogen.ir.program import Program
 from servogen.law.law import offered
 from servogen.package import Package, write
 from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
-from servogen.plan.planner import plan, plan_functions, plan_scene_solver, plan_solver_only
+from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.remarks import say
 from servogen.render.render import render
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.review import review
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
+from servogen.survey.definiteness import survey_mass, survey_weight
+from servogen.survey.noise import survey_noise
+from servogen.survey.reach import survey_reach, survey_values
 from servogen.twins.reference import ReferenceTwin, reference_twin
 
 
@@ -54,7 +60,7 @@ def build(
         raise SceneError(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
-    remarks = review(scene) + optimised_scene(scene)[0].remarks
+    remarks = review(scene) + derived_scene(scene)[0].remarks
     package = write(render(module, casadi_abi), out, module, scene, remarks)
     say(remarks)
     return package
@@ -65,29 +71,41 @@ def compile_scene(
 ) -> Module:
     """Scene -> Module: every stage but printing and writing. without: passes of the optimiser to leave out."""
     formulation, program = optimised_scene(scene, without)
-    return plan(formulation, program, target, _checked(entry_points, formulation))
+    noise = noise_of(scene, target.scalar, without)
+    return plan(formulation, program, target, noise, _checked(entry_points, formulation))
 
 
-def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:
-    """Names of functions that the scene has; SceneError for others."""
-    if entry_points is None:
-        return None
-    names = [entry_points] if isinstance(entry_points, str) else list(entry_points)
-    there = offered(formulation.law)
-    for name in names:
-        if name not in there:
-            raise SceneError(f"entry_points: {name!r} is no function of this scene; there are {', '.join(there)}")
-    if not names:
-        raise SceneError(f"entry_points: none given; choose from {', '.join(there)}, or leave it out for all")
-    return names
+def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
+    """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
+    return _optimised_once(scene, without)  # a cache takes a default left out and the same one given for two calls
 
 
 @lru_cache(maxsize=128)  # all built-in scenes, and a test run's own beside them
-def optimised_scene(scene: Scene, without: frozenset[str] = frozenset()) -> tuple[Formulation, SceneProgram]:
-    """The stages that do not look at the target, once for a scene: its scalars and its checks share them."""
-    formulation = derive(scene)
-    lowered, model = lower(formulation), lower_model(scene)
-    return formulation, optimise_formulation(formulation, lowered, model, without)
+def _optimised_once(scene: Scene, without: frozenset[str]) -> tuple[Formulation, SceneProgram]:
+    formulation, lowered = derived_scene(scene)
+    return formulation, optimise_formulation(formulation, lowered, lower_model(scene), draw_samples(scene), without)
+
+
+@lru_cache(maxsize=128)
+def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
+    """The equations of a scene and their program, with remarks on what is odd; SceneError for what cannot be built."""
+    samples, model = draw_samples(scene), lower_model(scene)
+    found = survey_mass(samples, model)
+    survey_weight(samples, model)
+    formulation = derive(samples, found)
+    survey_values(samples, formulation)
+    lowered = lower(formulation)
+    remarks = found.remarks + survey_reach(samples, formulation, lowered)
+    told = tuple(f"scene {scene.name!r}: {text}" for text in remarks)
+    return replace(formulation, remarks=told), lowered
+
+
+def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:
+    """Per row of the scene's system, the noise of its code; None where the user says what counts as zero."""
+    if scene.solver.atol is not None:
+        return None
+    formulation, optimised = optimised_scene(scene, without)
+    return survey_noise(draw_samples(scene), optimised.program, formulation.factorised, scalar)
 
 
 def build_solver(
@@ -129,7 +147,7 @@ def build_plant(
     out and scalar as for `build`; prefix: default <scene>_plant, and <scene>_plant_f32 for float32.
     Raises SceneError for a singular Q.
     """
-    quantities, mass = derive_plant(scene)
+    quantities, mass = derive_plant(scene, survey_mass(draw_samples(scene), lower_model(scene)))
     module = compile_functions(scene, quantities, mass, target_for(f"{scene.name}_plant", scalar, prefix, math))
     return write(render(module), out, module, scene)
 
@@ -146,15 +164,10 @@ def reference(scene: Scene, scalar: Scalar = "float64") -> ReferenceTwin:
     return reference_twin(scene, scalar, noise_of)
 
 
-def noise_of(scene: Scene, scalar: Scalar) -> tuple[float, ...]:
-    """Per row of the scene's system, the tolerance that its code has where the user gave none."""
-    return plan_scene_solver(*optimised_scene(scene), scalar).atol
-
-
 def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTreatment, target: Target) -> Module:
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
-    lowered, model = lower_quantities(scene, quantities, mass), lower_model(scene)
-    program = optimise_quantities(scene, quantities, mass, lowered, model)
+    lowered = lower_quantities(scene, quantities, mass)
+    program = optimise_quantities(quantities, mass, lowered, lower_model(scene), draw_samples(scene))
     return plan_functions(scene, quantities, program, target)
 
 
@@ -166,3 +179,17 @@ def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own"
         raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
     default = name if scalar == "float64" else f"{name}_f32"
     return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"), math)
+
+
+def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:
+    """Names of functions that the scene has; SceneError for others."""
+    if entry_points is None:
+        return None
+    names = [entry_points] if isinstance(entry_points, str) else list(entry_points)
+    there = offered(formulation.law)
+    for name in names:
+        if name not in there:
+            raise SceneError(f"entry_points: {name!r} is no function of this scene; there are {', '.join(there)}")
+    if not names:
+        raise SceneError(f"entry_points: none given; choose from {', '.join(there)}, or leave it out for all")
+    return names

@@ -12,7 +12,6 @@ from types import ModuleType
 import servogen.scenes
 from servogen.errors import SceneError
 from servogen.scene.scene import Scene
-from servogen.simulate.simulation import Simulation
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -28,39 +27,23 @@ def scene_summary(spec: str) -> str:
 
 def load_scene(spec: str) -> Scene:
     """The scene that `spec` names. SceneError for what does not exist, does not run or is no scene."""
-    return _load(spec)[1]
+    return load(spec)[1]
 
 
 def scene_module(spec: str) -> ModuleType:
     """The file in which the scene that `spec` names is written, as a module."""
-    return _load(spec)[0]
+    return load(spec)[0]
 
 
 def scene_folder(spec: str) -> Path:
     """The folder of the file in which the scene that `spec` names is written."""
-    file = _load(spec)[0].__file__
+    file = load(spec)[0].__file__
     assert file is not None
     return Path(file).parent
 
 
-def load_simulation(spec: str) -> tuple[Scene, Simulation]:
-    """The scene that `spec` names, and how its file wants it simulated.
-
-    That is the file's variable `simulation` for its variable `scene` or its only scene, `<variable>_simulation` for
-    a scene of another name; defaults where there is none.
-    """
-    module, scene = _load(spec)
-    scenes = {name: value for name, value in vars(module).items() if isinstance(value, Scene)}
-    names = [f"{name}_simulation" for name, value in scenes.items() if value is scene]
-    if scenes.get("scene") is scene or len({id(s) for s in scenes.values()}) == 1:
-        names.append("simulation")
-    found = [vars(module)[name] for name in names if name in vars(module)]
-    if found and not isinstance(found[0], Simulation):
-        raise SceneError(f"{spec}: the variable simulation is a {type(found[0]).__name__}; make it an sg.Simulation")
-    return scene, found[0] if found else Simulation()
-
-
-def _load(spec: str) -> tuple[ModuleType, Scene]:
+def load(spec: str) -> tuple[ModuleType, Scene]:
+    """The scene that `spec` names, and its file as a module. SceneError as for `load_scene`."""
     if spec in builtin_names():
         module = importlib.import_module(f"servogen.scenes.{spec}")
         assert isinstance(module.scene, Scene)

@@ -5,15 +5,13 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from servogen.errors import SceneError
 from servogen.plan.module import Module
 from servogen.render.render import SourceFile
 from servogen.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from servogen.twins.compiled import CompiledSolver, CompiledTwin
+from servogen.twins.compiled import CompiledSolver, CompiledTwin, load_package
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,10 +46,8 @@ class Package:
     def prefix(self) -> str:
         return self.module.target.prefix
 
-    def load(self, compiler: str | None = None, flags: Sequence[str] = ("-O2",)) -> "CompiledTwin | CompiledSolver":
+    def load(self, compiler: str | None = None, flags: Sequence[str] = ("-O2",)) -> CompiledTwin | CompiledSolver:
         """Compile the C on this machine and load it. compiler: default $CC, else cc."""
-        from servogen.twins.compiled import load_package
-
         if isinstance(flags, str):
             raise TypeError(f"load: flags={flags!r} is text; give its words, {flags.split()!r}")
 

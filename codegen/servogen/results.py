@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int32]
 
 
 class Status(IntEnum):
@@ -56,6 +57,18 @@ class Path(IntEnum):
     SVD = 4
 
 
+PATH_MEANING: dict[Path, str] = {
+    Path.NONE: "by none, for the call was refused",
+    Path.PRECOMPUTED: "the matrix does not depend on the state: inverted at generation, or by prepare",
+    Path.CLOSED_FORM: "one row or one column",
+    Path.NORMAL: "normal equations, certified and refined",
+    Path.QR: "pivoted QR, certified and refined",
+    Path.SVD: "singular value decomposition",
+}
+INFO_INTEGERS, INFO_REALS = ("status", "path", "rank", "sweeps"), ("sigma_min", "residual")
+"""The members of `info` in their order: of Info, of an array of them, and of <prefix>_info in C."""
+
+
 @dataclass(frozen=True)
 class Info:
     """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau.
@@ -97,3 +110,32 @@ class Control:
 
     value: FloatArray
     info: Info
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """`control` at N states: value (N, l), and the members of `info` as arrays (N,). batch[k] is what one call gives.
+
+    Where a status is negative, the value is `last`, or zeros.
+    """
+
+    value: FloatArray
+    status: IntArray
+    path: IntArray
+    rank: IntArray
+    sweeps: IntArray
+    sigma_min: FloatArray
+    residual: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __getitem__(self, k: int) -> Control:
+        """State k alone."""
+        status, path = Status(int(self.status[k])), Path(int(self.path[k]))
+        integers = int(self.rank[k]), int(self.sweeps[k])
+        return Control(self.value[k], Info(status, path, *integers, float(self.sigma_min[k]), float(self.residual[k])))
+
+    def __repr__(self) -> str:
+        """How often each status."""
+        return f"<Batch of {len(self)} states: {_names(Status, self.status) or 'none'}>"

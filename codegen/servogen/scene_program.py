@@ -8,22 +8,18 @@ tested in prepare.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
-from servogen.derive.lower import MASS_PIVOT, MASS_SCALE, parameter_defaults
+from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.binding import depends_on_parameters_alone, is_constant
 from servogen.ir.field import Residue, unsigned
-from servogen.ir.program import Output, Program, live
-from servogen.optimise.accuracy import STATES
+from servogen.ir.program import Output, Program, live, only
 from servogen.optimise.angles import snap_quarter_turns
 from servogen.optimise.decimals import clean_constants
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import Optimised, search
 from servogen.optimise.value_numbering import number_values
-from servogen.scene.domain import draw_states
-from servogen.scene.scene import Scene, State
+from servogen.scene.samples import Samples
 
 
 @dataclass(frozen=True)
@@ -42,34 +38,38 @@ class SceneProgram:
 
 
 def optimise_formulation(
-    formulation: Formulation, lowered: Program, model: Program, without: frozenset[str] = frozenset()
+    formulation: Formulation,
+    lowered: Program,
+    model: Program,
+    samples: Samples,
+    without: frozenset[str] = frozenset(),
 ) -> SceneProgram:
     """All quantities of a scene as one program; the constraint's value counts less than the system it leads to.
 
-    lowered: the formulation's quantities. model: the scene's Q, P and G as they are written. without: passes to leave
-    out, by name.
+    lowered: the formulation's quantities. model: the scene's Q, P and G as they are written. samples: where accuracy is
+    judged. without: passes to leave out, by name.
     """
-    scene, quantities, mass = formulation.scene, formulation.quantities, formulation.mass
-    return optimise_quantities(scene, quantities, mass, lowered, model, frozenset([scene.system.constraint]), without)
+    minor = frozenset([formulation.scene.system.constraint])
+    return optimise_quantities(formulation.quantities, formulation.mass, lowered, model, samples, minor, without)
 
 
 def optimise_quantities(
-    scene: Scene,
     quantities: Sequence[Quantity],
     mass: MassTreatment,
     lowered: Program,
     model: Program,
+    samples: Samples,
     minor: frozenset[str] = frozenset(),
     without: frozenset[str] = frozenset(),
 ) -> SceneProgram:
-    """Named quantities of a scene as one program; lowered, model as above, minor: outputs that count less."""
+    """Named quantities of a scene as one program; lowered, model, samples as above, minor: outputs that count less."""
     exact, remarks = as_meant(lowered)
     needing = [q.name for q in quantities if q.needs_mass]
-    own = _divisors(as_meant(model)[0]) if mass.positive_definite and mass.pivots else None
+    own = _divisors(as_meant(only(model, "Q", "P", "G"))[0]) if mass.positive_definite and mass.pivots else None
     if own is not None and needing == _free(number_values(exact), needing, own):
         exact = _without_late_pivots(exact)
     minor = (minor | {MASS_PIVOT, MASS_SCALE}) & {o.name for o in exact.outputs}
-    optimised = search(exact, judging_states(scene), minor, without)
+    optimised = search(exact, samples.judged, minor, without)
     free = frozenset() if own is None else frozenset(_free(optimised.program, needing, own))
     return SceneProgram(optimised.program, exact, optimised, free, remarks + optimised.refused)
 
@@ -79,16 +79,6 @@ def as_meant(lowered: Program) -> tuple[Program, tuple[str, ...]]:
     cleaned, constants = clean_constants(lowered)
     snapped, angles = snap_quarter_turns(optimise(cleaned))
     return optimise(snapped), constants + angles
-
-
-def judging_states(scene: Scene) -> State:
-    """States of the domain at which the accuracy of rewrites is judged, with parameters and tau."""
-    states = draw_states(scene, STATES, seed=2) | {
-        name: np.array(value).reshape(1, -1) for name, value in parameter_defaults(scene).items()
-    }
-    generator = np.random.default_rng(3)
-    states.setdefault("tau", 2 * generator.random((STATES, scene.controls)) - 1)
-    return states
 
 
 def _free(program: Program, names: Sequence[str], own: frozenset[Residue]) -> list[str]:

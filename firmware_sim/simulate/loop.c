@@ -126,19 +126,26 @@ int sim_begin(sim_loop *loop, sim_sink sink, void *user)
     return loop->stop.reason;
 }
 
-int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user)
+int sim_integrate(sim_loop *loop, real t)
 {
     const real h = loop->step / R(loop->substeps);
+    uint32_t k;
+    for (k = 0; k < loop->substeps; ++k) {
+        if (k > 0 && loop->system->between != NULL) {
+            loop->system->between(loop->system->scene, loop->done, k);
+        }
+        if (step(loop, t + R(k) * h, h)) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user)
+{
     while (loop->stop.reason == SIM_RUNNING && count > 0) {
-        const real t = R(loop->done) * loop->step;
-        uint32_t k;
-        for (k = 0; k < loop->substeps; ++k) {
-            if (k > 0 && loop->system->between != NULL) {
-                loop->system->between(loop->system->scene, loop->done, k);
-            }
-            if (step(loop, t + R(k) * h, h)) {
-                return loop->stop.reason;
-            }
+        if (sim_integrate(loop, R(loop->done) * loop->step)) {
+            return loop->stop.reason;
         }
         ++loop->done;
         --count;

@@ -94,6 +94,10 @@ int sim_begin(sim_loop *loop, sim_sink sink, void *user);
 /* At most `count` further steps; stops for good with a reason. Returns loop->stop.reason. */
 int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user);
 
+/* loop->x from t to t + loop->step, without ticks and rows: what an importer that keeps time itself calls. Nonzero
+   where a function of the system failed, with loop->stop set. */
+int sim_integrate(sim_loop *loop, real t);
+
 void sim_copy(const real *from, real *to, int n);
 
 #endif

@@ -10,7 +10,7 @@ void sum_begin(sum_run *run, const sum_claim *claim, double *state)
     *run = nothing;
     run->claim = claim;
     run->state = state;
-    run->off = run->left = run->inconsistent = run->limited = run->left_entry = SUM_NEVER;
+    run->off = run->left = run->inconsistent = run->limited = SUM_NEVER;
 }
 
 /* An angle at the turn nearest to `middle`. */
@@ -28,8 +28,8 @@ static double folded(double angle, double middle)
     return angle - 2 * PI * whole;
 }
 
-/* The first entry of the state that is outside its range, or SUM_NEVER. */
-static int64_t outside(const sum_claim *claim, const real *q, const real *u)
+/* Whether an entry of the state is outside its range. */
+static int outside(const sum_claim *claim, const real *q, const real *u)
 {
     int k;
     for (k = 0; k < claim->q + claim->u; ++k) {
@@ -38,10 +38,10 @@ static int64_t outside(const sum_claim *claim, const real *q, const real *u)
             value = folded(value, (claim->low[k] + claim->high[k]) / 2);
         }
         if (value < claim->low[k] || value > claim->high[k]) {
-            return k;
+            return 1;
         }
     }
-    return SUM_NEVER;
+    return 0;
 }
 
 /* The prescribed decay at the next row. */
@@ -82,10 +82,7 @@ static void note_error(sum_run *run, const sim_row *row)
         run->end[k] = magnitude(psi);
         share = error / claim->tolerance[k] > share ? error / claim->tolerance[k] : share;
     }
-    if (share > run->share) {
-        run->share = share;
-        run->share_row = run->rows;
-    }
+    run->share = share > run->share ? share : run->share;
     if (share > 1 && run->off == SUM_NEVER) {
         run->off = run->rows;
     }
@@ -107,9 +104,8 @@ void sum_keep(void *user, const sim_row *row)
         const double size = magnitude((double)row->tau[k]);
         run->tau[k] = size > run->tau[k] ? size : run->tau[k];
     }
-    if (run->left == SUM_NEVER) {
-        run->left_entry = outside(claim, row->q, row->u);
-        run->left = run->left_entry == SUM_NEVER ? SUM_NEVER : run->rows;
+    if (run->left == SUM_NEVER && outside(claim, row->q, row->u)) {
+        run->left = run->rows;
     }
     if (row->status == 2 && run->inconsistent == SUM_NEVER) {
         run->inconsistent = run->rows;

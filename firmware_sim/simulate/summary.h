@@ -29,9 +29,7 @@ typedef struct {
     double share;                   /* largest deviation over its tolerance */
     double third, last;             /* the same in the third and the last quarter of a run that finishes */
     int64_t rows;
-    int64_t share_row;
     int64_t off, left, inconsistent, limited; /* first rows at which this was so, or SUM_NEVER */
-    int64_t left_entry;
     int64_t rows_limited;
     int64_t statuses[SUM_STATUSES];
 } sum_run;

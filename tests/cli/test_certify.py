@@ -6,13 +6,13 @@ import pytest
 from click.testing import CliRunner
 from servogen.cli.main import cli
 from servogen.errors import SceneError
-from servogen.verify.certificate import Certificate, EntryCost
+from servogen.verify.board_certificate import BoardCertificate, EntryCost
 
 ENTRY = EntryCost("control", 1300, 1200, 1400, 0, 100, 200, 180, (), {"total": 20}, 0.5, ())
 
 
 def certificate(scene, board, scalar):
-    return Certificate(
+    return BoardCertificate(
         scene=scene, scalar=scalar, target=board, prefix=scene, math="own", compiler="gcc", flags=(), flash=3000,
         library=0, ram=0, state={}, functions={}, needs=(), entries=(ENTRY,), problems=(),
     )  # fmt: skip

@@ -44,7 +44,7 @@ def breaks(error):
 
 
 def test_an_unforeseen_error_is_one_line_and_a_code_of_its_own(ends, monkeypatch):
-    monkeypatch.setattr("servogen.cli.generate.load_scene", breaks(IndexError("list index\nout of range")))
+    monkeypatch.setattr("servogen.cli.generate.load_simulation", breaks(IndexError("list index\nout of range")))
     code, out, err = ends("generate", "spacecraft")
     assert (code, out) == (3, "")
     assert err.startswith("internal error: IndexError: list index out of range; please report it with")
@@ -55,7 +55,7 @@ def test_an_unforeseen_error_is_one_line_and_a_code_of_its_own(ends, monkeypatch
 
 
 def test_its_traceback_is_shown_on_demand(ends, monkeypatch):
-    monkeypatch.setattr("servogen.cli.generate.load_scene", breaks(KeyError("tau")))
+    monkeypatch.setattr("servogen.cli.generate.load_simulation", breaks(KeyError("tau")))
     monkeypatch.setenv("SERVOGEN_TRACEBACK", "1")
     code, out, err = ends("generate", "spacecraft", "--json")
     assert code == 3
@@ -64,9 +64,9 @@ def test_its_traceback_is_shown_on_demand(ends, monkeypatch):
 
 
 def test_an_interrupt_is_no_error(ends, monkeypatch):
-    monkeypatch.setattr("servogen.cli.generate.load_scene", breaks(KeyboardInterrupt()))
+    monkeypatch.setattr("servogen.cli.generate.load_simulation", breaks(KeyboardInterrupt()))
     code, out, err = ends("generate", "spacecraft")
-    assert (code, out, err.strip()) == (130, "", "")
+    assert (code, out, err.strip()) == (130, "", "servogen: interrupted")
 
 
 def test_where_nothing_may_be_written_the_option_is_named(ends, monkeypatch):
@@ -147,11 +147,19 @@ def test_a_full_disk_is_told_with_the_path(ends, monkeypatch, tmp_path):
     def full(self, *given, **more):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("servogen.cli.generate.load_scene", lambda spec: crane("crane"))
+    monkeypatch.setattr("servogen.cli.generate.load_simulation", lambda spec: (crane("crane"), sg.Simulation()))
     monkeypatch.setattr(Path, "write_text", full)
     code, _, err = ends("generate", "crane", "--out", tmp_path)
     assert code == 2
     assert err.splitlines()[-1].startswith(f"error: {tmp_path}/crane.h: No space left on device; make room there")
+
+
+def test_a_full_standard_output_is_no_full_folder(tmp_path):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "servogen.cli.main", "list"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "standard output: No space left on device; make room where it goes" in done.stderr
 
 
 def test_a_compiler_without_room_is_no_wrong_compiler(ends, monkeypatch, tmp_path):
@@ -173,7 +181,7 @@ def test_remarks_are_printed_once(ends, monkeypatch, tmp_path):
         build(*given, **more)
         return build(*given, **more)
 
-    monkeypatch.setattr("servogen.cli.generate.load_scene", lambda spec: crane("crane"))
+    monkeypatch.setattr("servogen.cli.generate.load_simulation", lambda spec: (crane("crane"), sg.Simulation()))
     monkeypatch.setattr("servogen.cli.generate.build", twice)
     for out in ("a", "b"):  # and by the next command again
         code, _, err = ends("generate", "crane", "--out", tmp_path / out)

@@ -132,7 +132,7 @@ def test_the_inverse_mass_costs_little_more_than_no_weight() -> None:
 
 def test_a_posture_cancels_all_forces_and_damps() -> None:
     """u' = -d u - k (q - centre) where y alone acts, for a robot as for any mechanism."""
-    robot = sg.urdf.load(IIWA, quiet=True)
+    robot = sg.urdf.load(IIWA, quiet=True, damping=None)
     plain = sg.Mechanism(q=robot.q, u=robot.u, tau=robot.tau, Q=robot.mechanism.Q, P=robot.mechanism.P, G=ca.DM.eye(7))
     generator = np.random.default_rng(1)
     q, u, centre = generator.uniform(-1, 1, (3, 7))

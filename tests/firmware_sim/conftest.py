@@ -59,8 +59,8 @@ class Sample:
             EntryVectors("S_z", "plain", (S, z), plain),
             EntryVectors("z", "plain", (z,), np.where(plain < 0, -1, ANY_ANSWER), domain=count // 2),
             EntryVectors("control", "control", (tau,), control, rank),
-            EntryVectors("project", "project", (output("tau", "project", 2.0),), plain),
-            EntryVectors("step", "step", (output("tau", "step", 2.0),), plain, dt=DT),
+            EntryVectors("project", "control", (output("tau", "project", 2.0),), plain),
+            EntryVectors("step", "control", (output("tau", "step", 2.0),), plain, numbers=(DT,)),
             EntryVectors("pinv", "pinv", (output("S_pinv", "S_pinv", 100.0, 64),), arguments={"S": S_given}),
             EntryVectors(
                 "solve",

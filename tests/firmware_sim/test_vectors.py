@@ -131,7 +131,7 @@ def replaced_entry(vectors: VectorSet, index: int, **changes: Any) -> VectorSet:
         (lambda v: replaced_entry(v, 0, rank=np.zeros(64, int)), "reports no rank"),
         (lambda v: replaced_entry(v, 0, status=np.full(64, -128)), r"beyond \+-127"),
         (lambda v: replaced_entry(v, 2, outputs=v.entries[0].outputs), "'control' has one output, 2 are given"),
-        (lambda v: replaced_entry(v, 4, dt=None), "dt belongs to the call 'step'"),
+        (lambda v: replaced_entry(v, 0, numbers=(1.0,)), "numbers belong to the call 'control'"),
         (lambda v: replaced_entry(v, 5, arguments={}), "lacks arguments: S"),
         (lambda v: replaced_entry(v, 5, arguments=v.entries[5].arguments | {"z": np.zeros((64, 1))}), "takes no z"),
     ],

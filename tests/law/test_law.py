@@ -7,10 +7,22 @@ from importlib.resources import files
 import casadi as ca
 import pytest
 import servogen as sg
-from servogen.compiler import compile_scene, target_for
-from servogen.derive.derive import derive
+from servogen.compiler import compile_scene, derived_scene, target_for
 from servogen.law.law import IllegalLawError, Law, Routine, check_legal, of_the_state, parse, shapes
-from servogen.law.steps import STEPS, SYSTEM, Apply, Evaluate, Invert, Multiply, Project, React, Solve, row_of
+from servogen.law.steps import (
+    STEPS,
+    SYSTEM,
+    Advance,
+    Apply,
+    Call,
+    Evaluate,
+    Invert,
+    Multiply,
+    Project,
+    React,
+    Solve,
+    row_of,
+)
 from servogen.plan.module import Target
 from servogen.plan.planner import plan_solver_only
 from servogen.verify.answers import ANSWERS
@@ -20,9 +32,9 @@ from servogen.verify.vectors import ANY_ANSWER, ANY_STATUS
 from support.models import awkward_scenes, random_scene
 
 LAWS = [
-    derive(random_scene(3, "mixed", y="input")).law,
-    derive(random_scene(3, "controls", y=lambda m: -m.mechanism.tau)).law,
-    derive(awkward_scenes()["one_control"]).law,
+    derived_scene(random_scene(3, "mixed", y="input"))[0].law,
+    derived_scene(random_scene(3, "controls", y=lambda m: -m.mechanism.tau))[0].law,
+    derived_scene(awkward_scenes()["one_control"])[0].law,
     plan_solver_only(2, 3, Target("float64", "p"), sg.Solver()).law,
 ]
 
@@ -30,7 +42,7 @@ LAWS = [
 def ideal() -> Law:
     scene = random_scene(7, "nonholonomic")
     weight = ca.diag(ca.SX([1, 2, 3]))
-    return derive(replace(scene, mode="ideal", weight=weight, y="input")).law
+    return derived_scene(replace(scene, mode="ideal", weight=weight, y="input"))[0].law
 
 
 @pytest.mark.parametrize("law", [*LAWS, ideal()], ids=lambda law: law.name)
@@ -96,6 +108,85 @@ BROKEN = {
     "two of a name": (replace(SOUND, routines=SOUND.routines[:1] * 2), "two routines share a name"),
     "result": (replace(SOUND, routines=(replace(SOUND.routines[0], result="S"),)), "no step leaves its result S"),
 }
+
+
+def _control(*steps: object, info: bool = True) -> Law:
+    """SOUND with another control."""
+    routine = replace(SOUND.routines[1], steps=steps, result=steps[-1].into, info=info)  # type: ignore[attr-defined]
+    return replace(SOUND, routines=(SOUND.routines[0], routine))
+
+
+FIRST, SOLVE = Evaluate(("S", "z", "M", "b", "J")), Solve("tau", SYSTEM, "S", "z", "in.y")
+SAME = Multiply("out", "N", "tau", (((0, 0),), ((1, 1),), ((2, 2),)))
+
+UNPRINTABLE = {
+    "two solves": (
+        _control(FIRST, Solve("x", SYSTEM, "S", "z"), Solve("tau", SYSTEM, "S", "z", "x")),
+        "control: evaluate, solve, solve cannot be printed",
+    ),
+    "no solve behind": (_control(FIRST, React("R", "reaction", "M", "b", "J")), "evaluate, react cannot be printed"),
+    "a solve without info": (_control(FIRST, SOLVE, info=False), "evaluate, solve without info cannot be printed"),
+    "an inverse behind": (
+        _control(FIRST, SOLVE, Invert("i", SYSTEM, "S")),
+        "evaluate, solve, invert cannot be printed",
+    ),
+    "a projection behind": (
+        _control(FIRST, SOLVE, Project("near", SYSTEM, "in.y", "z", "S", 2)),
+        "evaluate, solve, project cannot be printed",
+    ),
+    "an evaluation behind": (
+        _control(FIRST, Evaluate(("N",)), SOLVE, SAME),
+        "evaluate, evaluate, solve, multiply cannot be printed",
+    ),
+    "a solve of the state alone": (
+        replace(
+            SOUND,
+            routines=(Routine("solve", (SOLVE,), "tau", (("S", (2, 3)), ("z", (2, 1)))),),
+        ),
+        "solve cannot be printed: it takes no state, and in.y is no argument",
+    ),
+    "calls alone": (
+        replace(SOUND, routines=(*SOUND.routines, Routine("twice", (Call("a", "control"), Call("c", "control")), "c"))),
+        "twice: call, call cannot be printed",
+    ),
+    "a call that does not see the advance": (
+        replace(
+            SOUND,
+            routines=(
+                *SOUND.routines,
+                Routine(
+                    "tick",
+                    (Call("rate", "control"), Advance("on", "in.y", "rate", "dt"), Call("end", "control")),
+                    "end",
+                    (("dt", (1, 1)),),
+                ),
+            ),
+        ),
+        "tick: call, advance, call cannot be printed",
+    ),
+    "two reactions": (
+        replace(
+            SOUND,
+            routines=(
+                *SOUND.routines,
+                Routine("R2", (Evaluate(("M", "z", "J")), React("R2", "reaction", "M", "z", "J")), "R2", info=False),
+            ),
+        ),
+        "two different steps react",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", UNPRINTABLE)
+def test_routines_that_have_no_c_are_refused_by_name(what: str) -> None:
+    law, words = UNPRINTABLE[what]
+    with pytest.raises(IllegalLawError, match=re.escape(words)):
+        check_legal(law)
+
+
+def test_every_law_that_is_derived_can_be_printed() -> None:
+    for law in (*LAWS, ideal(), SOUND):
+        assert {r.form for r in law.routines} <= {"step", "evaluation", "tick"}, law.name
 
 
 def test_the_sound_one_is_legal() -> None:

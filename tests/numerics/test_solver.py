@@ -45,7 +45,7 @@ def given_system(shape, scalar, seed=1):
 @pytest.mark.parametrize("scalar", SCALARS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_tau_and_pinv_against_rationals(shape, scalar):
-    u = EPSILON[scalar]
+    eps = EPSILON[scalar]
     for seed in range(20):
         S, z, y = given_system(shape, scalar, seed)
         s = exact.rational(S)
@@ -53,15 +53,15 @@ def test_tau_and_pinv_against_rationals(shape, scalar):
         kappa = np.linalg.cond(S.astype(float))
         X, _ = twin(*shape, scalar).pinv(S)
         error = np.linalg.norm(exact.difference(X, truth), 2)
-        assert error <= 5 * u * kappa * np.linalg.norm(exact.nearest(truth), 2)
+        assert error <= 5 * eps * kappa * np.linalg.norm(exact.nearest(truth), 2)
         tau, info = twin(*shape, scalar).solve(S, z, y)
         right = exact.solution(s, truth, exact.rational(z), exact.rational(y))
         rest = np.linalg.norm(exact.nearest(exact.rational(z) - s * right))
         size = np.linalg.norm(exact.nearest(right)) + np.linalg.norm(y.astype(float))
         size += kappa * rest / np.linalg.norm(S.astype(float), 2)
-        assert np.linalg.norm(exact.difference(tau, right)) <= 4 * u * kappa * size
+        assert np.linalg.norm(exact.difference(tau, right)) <= 4 * eps * kappa * size
         residual = np.linalg.norm(exact.nearest(exact.rational(z) - s * exact.rational(tau)))
-        bound = u * (np.linalg.norm(S, 2) * np.linalg.norm(tau) + np.linalg.norm(z))
+        bound = eps * (np.linalg.norm(S, 2) * np.linalg.norm(tau) + np.linalg.norm(z))
         assert abs(info.residual - residual) <= 3 * bound
         assert shape[0] > shape[1] or residual <= 1.5 * bound
 
@@ -69,8 +69,8 @@ def test_tau_and_pinv_against_rationals(shape, scalar):
 @pytest.mark.parametrize("scalar", SCALARS)
 @pytest.mark.parametrize("l", [2, 3, 4, 12])
 def test_a_row_is_met_where_it_takes_all_of_y_away(l, scalar):
-    """y along s and a small z: the residual was 18 to 369 u (|s| |tau| + |z|) with one refinement."""
-    u = EPSILON[scalar]
+    """y along s and a small z: the residual was 18 to 369 eps (|s| |tau| + |z|) with one refinement."""
+    eps = EPSILON[scalar]
     generator = np.random.default_rng(11)
     for reach in range(0, 70, 2):
         s = generator.standard_normal(l).astype(scalar) if reach % 4 else np.full(l, 1.7, scalar)
@@ -81,9 +81,9 @@ def test_a_row_is_met_where_it_takes_all_of_y_away(l, scalar):
             row, wanted = exact.rational(s[None]), exact.rational(target)
             right = exact.solution(row, exact.pinv_full(row), wanted, exact.rational(y))
             size = np.linalg.norm(exact.nearest(right)) + np.linalg.norm(y)
-            assert np.linalg.norm(exact.difference(tau, right)) <= 4 * u * size
+            assert np.linalg.norm(exact.difference(tau, right)) <= 4 * eps * size
             residual = np.linalg.norm(exact.nearest(wanted - row * exact.rational(tau)))
-            assert residual <= 1.5 * u * (np.linalg.norm(s) * np.linalg.norm(tau) + abs(target[0]))
+            assert residual <= 1.5 * eps * (np.linalg.norm(s) * np.linalg.norm(tau) + abs(target[0]))
             # through the scaled path, and where what refines leaves the range
             for of_s, of_y in SHIFTS[scalar]:
                 given = np.ldexp(s[None], of_s), np.ldexp(target, of_s + of_y), np.ldexp(y, of_y)
@@ -157,7 +157,7 @@ def test_y_counts_only_where_tau_is_free(shape, scalar, smallest):
 
 @pytest.mark.parametrize("kappa", [1e6, 1e12, 5e13])
 def test_tall_and_ill_conditioned_is_as_good_as_wide(kappa):
-    """The first step of the QR must not trust that its pivots are orthogonal: errors of 1e9 u kappa, until mended."""
+    """The first step of the QR must not trust that its pivots are orthogonal: errors of 1e9 eps kappa, until mended."""
     generator = np.random.default_rng(5)
     sigma = np.array([[1.0, 1 / kappa]] * 50)
     S = with_spectra(3, 2, sigma, generator)
@@ -172,12 +172,12 @@ def test_tall_and_ill_conditioned_is_as_good_as_wide(kappa):
 @pytest.mark.parametrize("scalar", SCALARS)
 @pytest.mark.parametrize("shape", [(2, 3), (3, 7), (7, 3)])
 def test_singular_vectors_are_orthogonal_however_small_the_value(shape, scalar, need_tool):
-    """B^T u / sigma alone turns towards the vectors of larger values by u / sigma: 1e13 units, until mended."""
+    """B^T u / sigma alone turns towards the vectors of larger values by eps / sigma: 1e13 units, until mended."""
     need_tool("gcc", "gcc")
-    u, n = EPSILON[scalar], min(shape)
-    sigma = (0.1 / u) ** -(np.arange(n) / max(n - 1, 1))
+    eps, n = EPSILON[scalar], min(shape)
+    sigma = (0.1 / eps) ** -(np.arange(n) / max(n - 1, 1))
     S = with_spectra(*shape, np.array([sigma] * 50), np.random.default_rng(6))
-    for ratios in core.ratios(S, scalar, u):
+    for ratios in core.ratios(S, scalar, eps):
         assert ratios.max() <= 5
 
 
@@ -353,7 +353,7 @@ def test_overflow_leaves_outputs_alone(shape, scalar):
 def test_huge_and_tiny_everything(shape, scalar):
     """S, z and y each at 2^+-k of their own: what fits the type is right."""
     reach = np.finfo(scalar).maxexp - 10
-    u = EPSILON[scalar]
+    eps = EPSILON[scalar]
     S, z, y = given_system(shape, scalar)
     kappa = np.linalg.cond(S.astype(float))
     fits = 0
@@ -370,10 +370,10 @@ def test_huge_and_tiny_everything(shape, scalar):
         assert info.status >= 0
         scale = 2.0 ** max(np.frexp(np.abs(truth).max())[1], ky) if np.abs(truth).max() > 0 else 1.0
         error = np.linalg.norm(exact.difference(tau, right)[:, 0] / scale)
-        allowed = 8 * u * kappa * (1 + np.linalg.norm(y))
+        allowed = 8 * eps * kappa * (1 + np.linalg.norm(y))
         if shape[0] > shape[1]:  # least squares: kappa^2 on the residual, which is of the size of z and S y
             allowed *= 4 * kappa
-        assert error <= allowed or np.abs(truth).max() < np.finfo(scalar).tiny / u, (kS, kz, ky)
+        assert error <= allowed or np.abs(truth).max() < np.finfo(scalar).tiny / eps, (kS, kz, ky)
     assert fits > 40
 
 
@@ -440,13 +440,13 @@ def test_sweeps_stay_below_the_cap(shape, scalar):
     generator = np.random.default_rng(3)
     m, l = shape
     cap = plan_solver(m, l, scalar, sg.Solver()).sweep_cap
-    N, u = 400, EPSILON[scalar]
+    N, eps = 400, EPSILON[scalar]
     base = generator.standard_normal((N, m, l))
     families = [
         generator.integers(-1, 2, (N, m, l)),
         generator.integers(-3, 4, (N, m, 1)) * generator.integers(-3, 4, (N, 1, l)),
         base * 10.0 ** generator.uniform(-14, 0, (N, m, 1)) * 10.0 ** generator.uniform(-14, 0, (N, 1, l)),
-        base[:, :1] * (1 + u * generator.integers(-2, 3, (N, m, l))),
+        base[:, :1] * (1 + eps * generator.integers(-2, 3, (N, m, l))),
         np.cumprod(np.full((N, m, l), 1e-4), axis=2) * base,
     ]
     for S in families:

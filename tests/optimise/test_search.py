@@ -24,7 +24,7 @@ from servogen.optimise.cost import OPERATION, Objective, tick_operations
 from servogen.optimise.passes import optimise
 from servogen.optimise.search import SEARCH, search
 from servogen.scene.domain import draw_states
-from servogen.scene_program import judging_states
+from servogen.scene.samples import draw_samples
 from support.models import random_scene
 from support.programs import TAME, examples, programs, random_states, same_to_50_digits
 
@@ -104,7 +104,7 @@ def test_bounds_of_all_scenes_stay_within_what_is_tolerated() -> None:
     for name in builtin_names():
         scene = load_scene(name)
         done = optimised_scene(scene)[1]
-        states = judging_states(scene)
+        states = draw_samples(scene).judged
         before, after = (np.max(entry_bounds(p, states, "float64"), axis=1) for p in (done.exact, done.program))
         assert np.all(after <= TOLERATED * before * (1 + 1e-9))
 
@@ -191,7 +191,7 @@ def test_the_spacecraft_costs_the_same_however_it_is_written(euler: str, energy:
 def test_each_pass_is_worth_its_place() -> None:
     """What the search costs more without a pass, over scenes and a model of two links; it prints the table."""
     scenes = [load_scene("double_pendulum_energy"), load_scene("spacecraft"), two_links()]
-    cases = [(optimised_scene(scene)[1].exact, judging_states(scene)) for scene in scenes]
+    cases = [(optimised_scene(scene)[1].exact, draw_samples(scene).judged) for scene in scenes]
     operations: dict[str, list[int]] = {}
     semantic = frozenset(["value numbering", "Horner form", "resubstitution"])  # each finds equal values by itself
     without = {"nothing": frozenset[str](), "all that is semantic": semantic}
@@ -256,7 +256,7 @@ def test_a_solve_that_does_not_cancel_keeps_its_guard() -> None:
 def test_random_scenes_keep_their_meaning(seed: int) -> None:
     scene = random_scene(seed, ("nonholonomic", "mixed", "controls")[seed])
     done = optimised_scene(scene)[1]
-    states = judging_states(scene)
+    states = draw_samples(scene).judged
     before, after = evaluate(done.exact, states), evaluate(done.program, states)
     for name in before:
         assert np.allclose(before[name], after[name], rtol=1e-9, atol=1e-9)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_scene, load_simulation
+from servogen.loading import load_scene
 from servogen.scene.domain import draw_states
 from servogen.scenes.iiwa_position import EFFORT, JOINT_SPEED
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 
 pytestmark = pytest.mark.xdist_group("scenes")  # one process makes the fixture
 

@@ -180,30 +180,36 @@ def test_fast_math_is_refused(packages: list[sg.Package]) -> None:
 BUILD = """
 import sys
 from pathlib import Path
-import servogen as sg
-from servogen.loading import load_scene
-from support.models import awkward_scenes
-folder = Path(sys.argv[1])
-for name in ("double_pendulum_energy", "spacecraft_smooth"):
-    sg.build(load_scene(name), folder / name, "float32")
-scenes = awkward_scenes()
-for name in ("everything", "everything_tau", "columns", "every_operation"):
-    sg.build(scenes[name], folder / name)
+from render.test_packages import build_some
+build_some(Path(sys.argv[1]))
 """
 
 
+def build_some(folder: Path) -> None:
+    """Scenes of every kind, both scalars."""
+    for name in ("double_pendulum_energy", "spacecraft_smooth"):
+        sg.build(load_scene(name), folder / name, "float32")
+    scenes = awkward_scenes()
+    for name in ("everything", "everything_tau", "columns", "every_operation"):
+        sg.build(scenes[name], folder / name)
+
+
 def test_same_scene_same_bytes_in_two_processes(tmp_path: Path) -> None:
-    """Whatever the order of hashes, the working folder, the locale and the time zone."""
+    """Whatever the order of hashes, the working folder, the locale and the time zone: this process and another."""
     script = tmp_path / "build.py"
     script.write_text(BUILD)
-    results = []
-    for seed, more in (("1", {}), ("4242", {"TZ": "Asia/Tokyo", "LC_ALL": "C", "HOME": str(tmp_path)})):
-        folder = tmp_path / f"seed{seed}"
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
         folder.mkdir()
-        paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": paths, **more}
-        subprocess.run([sys.executable, str(script), str(folder)], check=True, cwd=folder, env=environment)
-        results.append({p.relative_to(folder): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()})
+    build_some(here)
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    seed = "4242" if os.environ.get("PYTHONHASHSEED") != "4242" else "1"
+    other = {"PYTHONHASHSEED": seed, "TZ": "Asia/Tokyo", "LC_ALL": "C", "HOME": str(tmp_path), "PYTHONPATH": paths}
+    subprocess.run([sys.executable, str(script), str(there)], check=True, cwd=there, env={**os.environ, **other})
+    results = [
+        {p.relative_to(folder): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+        for folder in (here, there)
+    ]
     assert len(results[0]) == 24
     assert results[0] == results[1]
 

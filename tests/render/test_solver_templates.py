@@ -6,8 +6,9 @@ from pathlib import Path
 
 import jinja2
 import pytest
-from servogen.plan.solver import plan_solver, solver_context
+from servogen.plan.solver import plan_solver
 from servogen.render.literals import literal
+from servogen.render.solver_context import solver_context
 from servogen.results import Path as SolverPath
 from servogen.results import Status
 from servogen.scene.solver import Solver
@@ -55,6 +56,13 @@ def compile_text(text, compiler, folder, *flags):
     return subprocess.run(
         [compiler, *STRICT, *flags, "-c", str(source), "-o", str(folder / "pinv.o")], capture_output=True, text=True
     )
+
+
+def test_context_names_every_status_and_path():
+    context = solver_context(plan_solver(2, 3, "float64", Solver()), "pinv_2x3", str)
+    assert {name for name, _, _ in context["statuses"]} == set(Status.__members__)
+    assert {name for name, _, _ in context["paths"]} == set(SolverPath.__members__)
+    assert context["P"] == "PINV_2X3"
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])

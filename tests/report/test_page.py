@@ -41,6 +41,17 @@ def test_the_verdict_comes_first_then_the_loop_then_the_formulas(page):
     assert "passed" not in page
 
 
+def test_runs_on_machines_that_differ_stand_on_top_and_below(page):
+    card = re.search(r"<span>Robustness:</span> <strong>(\d+) of 100 held</strong></p><p>(.*?)</p>", page)
+    assert 0 < int(card[1]) < 100
+    assert "100 runs with masses within 10 %" in card[2]
+    assert "rank correlation with the error: mass (+0.9" in card[2]  # twelve kilograms that the controller takes amiss
+    tables = re.search(r"<h3>On machines that differ.*?<table>(.*?)</table>", page, re.DOTALL)[1]
+    rows = [re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in re.findall(r"<tr>(.*?)</tr>", tables)]
+    assert [row[0] for row in rows[1:]][-2:] == ["largest |tau[0]|", "largest |tau[1]|"]
+    assert all(float(row[1]) <= float(row[2]) <= float(row[3]) <= float(row[4]) for row in rows[1:])
+
+
 def test_pictures_are_well_formed_light_and_apart(page):
     pictures = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
     assert len(pictures) > 8
@@ -83,6 +94,8 @@ def test_a_start_that_is_refused_is_named(tmp_path):
     without = tuple((stage, "not wanted") for stage in ("check", "board", "speed", "precision"))
     report = collect([str(file)], Wishes(tmp_path, without=without))
     page = render_page(report)
+    assert not report.problems
+    assert "falls: closed loop on machines that differ: the start was refused" in report.skipped
     assert "<strong>refused: OVERFLOW</strong>" in page
     assert "The controller refused the start:" in page
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servogen.loading import load_simulation
 from servogen.report.paper import SCENES, draw_paper, narrow_figures, sheets
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 
 pytestmark = pytest.mark.xdist_group("paper")  # one process makes the fixture
 

@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import METHODS, ClosedLoop, simulate
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.sources import host_sources, write_loop
+from servogen.simulate.wanted import load_simulation
 from servogen.tools import firmware_sim
 
 STRICT = (

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from servogen.cli import main, simulate
 from servogen.errors import SceneError
-from servogen.loading import builtin_names, load_simulation
+from servogen.loading import builtin_names
 from servogen.simulate.export import write_csv
 from servogen.simulate.plots import write_plots
 from servogen.simulate.simulation import check_simulation
 from servogen.simulate.trajectory import with_unit
+from servogen.simulate.wanted import load_simulation
 
 SCENE = """
 import casadi as ca

@@ -11,10 +11,10 @@ import pytest
 import servogen as sg
 from scipy.linalg import expm
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop, simulate
-from servogen.simulate.machine import MOST_DELAY, Grid, grid_of
+from servogen.simulate.machine import MOST_DELAY, Grid, grid_of, machine_in_words
 from servogen.simulate.trajectory import rows_that_differ
+from servogen.simulate.wanted import load_simulation
 from servogen.tools import firmware_sim
 
 FREE = {"duration": 0.5, "step": 0.05, "hold": True}
@@ -173,6 +173,20 @@ def test_the_controller_sees_noise_and_steps_and_the_rows_the_truth(rail):
 def test_a_machine_without_flaws_keeps_the_bits(rail):
     perfect = {"actuators": sg.Actuators(limit=1e9, rate=np.inf, lag=0), "noise": {"q": 0}, "delay": 0.0, "seed": 9}
     assert rows_that_differ(rail.run(**FREE), rail.run(**FREE, **perfect)) == 0
+
+
+def test_flaws_of_no_size_are_none(rail):
+    """inf, 0: no flaw, so no sampling controller, and nothing to tell of."""
+    nothing = {
+        "actuators": sg.Actuators(limit=np.inf, rate=np.inf, lag=0.0),
+        "noise": {"q": 0.0},
+        "quantise": {"u": 0.0},
+        "delay": 0.0,
+    }
+    run = rail.run(**nothing)
+    assert run.hold is None
+    assert np.array_equal(run.q, rail.run().q)
+    assert machine_in_words(replace(rail.simulation, **nothing)) == ""
 
 
 def test_rows_and_ticks_need_not_be_one(rail):

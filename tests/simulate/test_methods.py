@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.precision import measure, tight_end
+from servogen.simulate.methods import measure, tight_end
+from servogen.simulate.wanted import load_simulation
 
 
 @pytest.fixture(scope="module")

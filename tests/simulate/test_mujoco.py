@@ -14,12 +14,12 @@ import pytest
 import servogen as sg
 from servogen.bench import mujoco_figures
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.scenes import iiwa_position
 from servogen.scenes.planar_arm_3r import arm, arm_run
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement, load_plant
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 from servogen.tools import ToolMissing
 
 ARM = """<mujoco>

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen.cli import main
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.robustness import write_robustness
 from servogen.simulate.runs import QUANTILES
+from servogen.simulate.wanted import load_simulation
 
 COUNT = 24
 MACHINES = {
@@ -39,7 +39,7 @@ def rail(rail_loop) -> ClosedLoop:
 
 @pytest.mark.parametrize("machine", list(MACHINES))
 def test_they_are_what_single_runs_are(rail, machine):
-    """To the last bit: errors, torques, statuses; and verdicts, which are found by another hand."""
+    """To the last bit: errors, torques, statuses; and verdicts, whose facts are found by another hand."""
     options = MACHINES[machine]
     many = rail.runs(COUNT, seed=5, **options)
     singles = [rail.run(replay=seed, **options) for seed in range(5, 5 + COUNT)]
@@ -110,6 +110,17 @@ def test_starts_that_are_refused_are_counted(rail):
     assert np.all(np.isfinite(many.quantiles()["largest |tau[0]|"]))
 
 
+def test_a_run_that_is_refused_on_its_way_is_no_good_run(escape_loop):
+    """Its deviation until then is none; it comes first among the worst, and is in no quantile."""
+    many = escape_loop.runs(12, spread={"u": [0.0, 0.9]}, duration=0.4)  # infinite at 1 / (2 u_1^2)
+    ended = many.t < 0.4 - 1e-9
+    assert 0 < ended.sum() == many.refused < 12
+    assert np.array_equal(np.isnan(many.share), ended)
+    assert set(many.worst(many.refused)) == set(np.flatnonzero(ended))
+    assert np.all(np.isfinite(many.quantiles()["largest |tau[0]|"]))
+    assert many.correlation["u[1]"] > 0.5
+
+
 def test_progress_comes_to_its_end(rail):
     seen: list[tuple[int, int]] = []
     rail.runs(30, progress=lambda done, total: seen.append((done, total)))
@@ -121,6 +132,7 @@ def test_progress_comes_to_its_end(rail):
     ("options", "words"),
     [
         ({"count": 0}, "runs = 0"),
+        ({"count": 10**11}, "at most 10,000,000 in one call"),
         ({"count": 2, "seed": 2**32 - 1}, "seed 4294967295 for 2 runs"),
         ({"count": 2, "spread": {"load": 0.1}}, "no such parameter; there are m, q, u"),
         ({"count": 2, "spread": {"m": -0.1}}, "not negative"),

@@ -7,11 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.loading import load_simulation
-from servogen.simulate.claim import claim_of, entry_units
+from servogen.simulate.claim import claim_of
 from servogen.simulate.closed_loop import ClosedLoop, simulate
+from servogen.simulate.simulation import units_of_entries
 from servogen.simulate.trajectory import Stop
 from servogen.simulate.verdict import judge
+from servogen.simulate.wanted import load_simulation
 
 
 def inverted(domain: object = None) -> sg.Scene:
@@ -202,6 +203,8 @@ def test_a_domain_that_does_not_fit_is_named(domain, words):
 
 
 def test_units_by_entry():
-    assert entry_units("rad", 2) == ("rad", "rad")
-    assert entry_units("m, rad", 2) == ("m", "rad")
-    assert entry_units("m, rad", 3) == entry_units(None, 3) == ("", "", "")
+    assert units_of_entries("rad", 2) == ("rad", "rad")
+    assert units_of_entries("m, rad", 2) == ("m", "rad")
+    assert units_of_entries(None, 3) == ("", "", "")
+    with pytest.raises(sg.SceneError, match=r"units\['psi'\] = 'm, rad' tells 2 units of 1 entries"):
+        ClosedLoop(oscillator(), sg.Simulation(units={"psi": "m, rad"}))

@@ -4,9 +4,9 @@ import ctypes as ct
 from pathlib import Path
 
 import numpy as np
-from servogen.plan.solver import BITS
 from servogen.render.mathematics import math_context
 from servogen.render.render import environment
+from servogen.scalars import BITS
 
 from .c import run
 

@@ -7,9 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import servogen as sg
-from servogen.derive.derive import derive
+from servogen.compiler import derived_scene
 from servogen.derive.formulation import Formulation
-from servogen.derive.lower import lower
 from servogen.ir.evaluate import evaluate
 from servogen.optimise.passes import optimise
 
@@ -119,8 +118,8 @@ def defaults(scene: sg.Scene) -> dict[str, Any]:
 
 def derived(scene: sg.Scene) -> tuple[Formulation, Any]:
     """The formulation of a scene, and a function of its inputs (name -> array) to its quantities."""
-    formulation = derive(scene)
-    program = optimise(lower(formulation))
+    formulation, lowered = derived_scene(scene)
+    program = optimise(lowered)
 
     def quantities(**inputs: Any) -> dict[str, Any]:
         return {name: value[0] for name, value in evaluate(program, defaults(scene) | inputs).items()}

@@ -75,7 +75,7 @@ def control_bounds(
 ) -> tuple[float, float]:  # fmt: skip
     """How far tau (2-norm) and sigma_min may lie apart where the solver's matrix and z do by S_error and z_error.
 
-    Infinite where the matrix may be singular. Both solvers may err by 8 u kappa (|tau| + |y|), the bar of every check.
+    Infinite where the matrix may be singular. Both solvers may err by 8 eps kappa (|tau| + |y|), every check's bar.
     A weight W = L L^T makes S L^-T of S, and L^-T, which may be off by back_error, of the answer tau.
     """
     weight = reference.parts(reference.read_inputs(state)).get("weight")

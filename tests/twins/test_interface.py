@@ -271,19 +271,20 @@ def test_control_with_null_info_and_outputs_over_inputs() -> None:
     scene = load_scene("double_pendulum_energy")
     twin = loaded(scene)
     state = a_state(scene)
-    struct = twin._input(twin.read_inputs(state))
+    layout = type("input", (ct.Structure,), {"_fields_": [(f.name, ct.c_double * f.size) for f in twin._module.inputs]})
+    struct = layout.from_buffer_copy(twin._read(state, "control"))
     expected = twin.control(**state).value
     out = (ct.c_double * 2)()
     assert twin._function("control")(ct.byref(twin._model), ct.byref(struct), out, None) == 0
     assert list(out) == list(expected)
     S, z = twin.S(**state).ravel(), twin.z(**state)
     at = ct.addressof(struct)
-    offset = type(struct).u.offset
+    offset = layout.u.offset
     status = twin._function("S_z")(ct.byref(twin._model), ct.byref(struct), ct.c_void_p(at), ct.c_void_p(at + offset))
     assert status == 0
     assert list(struct.q) == list(S)
     assert struct.u[0] == z[0]
-    struct = twin._input(twin.read_inputs(state))
+    struct = layout.from_buffer_copy(twin._read(state, "control"))
     assert twin._function("control")(ct.byref(twin._model), ct.byref(struct), ct.byref(struct), None) == 0
     assert list(struct.q) == list(expected)
 

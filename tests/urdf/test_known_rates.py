@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.derive.known import cut
-from servogen.derive.servo import derive_servo
+from servogen.compiler import derived_scene
+from servogen.derive.constraint_rates import cut
 from servogen.loading import load_scene
 from support.robots import A1, A1_FEET, IIWA, IIWA_TOOL, draw_state
 
@@ -15,10 +15,12 @@ GAINS: dict[str, Any] = {"Theta1": -2.0, "Theta2": -3.0}
 
 
 def derived(scene: sg.Scene) -> Any:
-    formulation = derive_servo(scene)
+    formulation = derived_scene(scene)[0]
     fields = scene.input_fields()
-    function = ca.Function("derived", [f.symbol for f in fields], [formulation[n] for n in ("psi", "S", "z")])
-    return lambda state: [np.array(x) for x in function(*(state[f.name] for f in fields))]
+    symbols = [f.symbol for f in (*fields, *scene.parameters)]
+    defaults = [ca.DM(f.default) for f in scene.parameters]
+    function = ca.Function("derived", symbols, [formulation[n] for n in ("psi", "S", "z")])
+    return lambda state: [np.array(x) for x in function(*(state[f.name] for f in fields), *defaults)]
 
 
 def compare(scene: sg.Scene, states: list[dict[str, Any]], tolerance: float = 1e-9) -> None:
@@ -73,7 +75,9 @@ def test_functions_of_known_quantities_mixed_with_others() -> None:
     r, R, v = robot.position(IIWA_TOOL), robot.rotation(IIWA_TOOL), robot.velocity(IIWA_TOOL)
     t = ca.SX.sym("t")
     mech = robot.mechanism
-    timed = sg.Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=mech.Q, P=mech.P, G=mech.G, t=t, known=mech.known)
+    timed = sg.Mechanism(
+        q=mech.q, u=mech.u, tau=mech.tau, Q=mech.Q, P=mech.P, G=mech.G, t=t, known_rates=mech.known_rates
+    )
     psi = ca.vertcat(ca.dot(r, r) * ca.sin(t) + robot.q[1], R[0, 1] * r[2] - robot.q[3] ** 2)
     speed = ca.vertcat(v[0] * r[1] + robot.u[2], v[4] * R[2, 2] - ca.cos(t))
     scene = sg.Scene("mixed", timed, [sg.Holonomic("place", psi, **GAINS), sg.Nonholonomic("speed", speed, Theta=-1.0)])
@@ -87,7 +91,7 @@ def test_friction_and_rotor_inertia_are_not_lost() -> None:
     assert mech.gauge is not None
     constraint = sg.Holonomic("place", robot.position(IIWA_TOOL), **GAINS)
     for Q, P in ((mech.Q, mech.P - 0.3 * mech.u), (mech.Q + 0.1 * ca.SX.eye(7), mech.P)):
-        changed = sg.Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=P, G=mech.G, known=mech.known)
+        changed = sg.Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=P, G=mech.G, known_rates=mech.known_rates)
         assert changed.gauge is None
         scene = sg.Scene("changed", changed, [constraint])
         compare(scene, draw(scene, robot))

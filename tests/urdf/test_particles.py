@@ -22,7 +22,7 @@ def case(request: Any, tmp_path_factory: Any) -> Any:
     if name == "odd":
         path = tmp_path_factory.mktemp("odd") / "odd.urdf"
         path.write_text(ODD)
-    robot = sg.urdf.load(path, base=base or "fixed", gravity=GRAVITY, quiet=True)
+    robot = sg.urdf.load(path, base=base or "fixed", gravity=GRAVITY, quiet=True, damping=None)
     return robot, Particles(path, robot.joints, bool(base), GRAVITY), frame
 
 

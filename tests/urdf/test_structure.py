@@ -10,9 +10,7 @@ import casadi as ca
 import numpy as np
 import servogen as sg
 from servogen.bench.peers.robots import adam_scene
-from servogen.compiler import compile_scene, target_for
-from servogen.derive.lower import lower
-from servogen.derive.servo import derive_servo
+from servogen.compiler import compile_scene, derived_scene, target_for
 from servogen.loading import scene_module
 from servogen.optimise.passes import optimise
 from servogen.plan.stage import cut, stage
@@ -21,11 +19,11 @@ from support.robots import A1, IIWA, IIWA_TOOL
 
 def test_operations_of_the_iiwa() -> None:
     """S and z, the test of the pivots apart, with constant gains and a reference without rates."""
-    robot = sg.urdf.load(IIWA, quiet=True)
+    robot = sg.urdf.load(IIWA, quiet=True, damping=None)
     ref = sg.References(r=[0.5, 0.0, 0.6])
     psi = robot.position(IIWA_TOOL) - ref.r
     scene = sg.Scene("x", robot.mechanism, [sg.Holonomic("r", psi, Theta1=-20.0, Theta2=-100.0)], references=ref)
-    tick = stage(optimise(lower(derive_servo(scene)))).tick
+    tick = stage(optimise(derived_scene(scene)[1])).tick
     assert cut(tick, "S_z", ("S", "z")).operations()["total"] <= 1090
 
 
@@ -35,7 +33,7 @@ def test_operations_of_the_built_in_scene() -> None:
     The inverse mass as weight, the arm's weight carried, damping and stiffness cost 3 % more than S and z alone.
     """
     module = scene_module("iiwa_position")
-    plain = sg.build(module.scene_of(sg.urdf.load(IIWA, quiet=True))).manifest
+    plain = sg.build(module.scene_of(sg.urdf.load(IIWA, quiet=True, damping=None))).manifest
     assert plain["entry_points"]["S_z"]["operations"]["total"] <= 1100
     manifest = Path(__file__).parents[2] / "generated" / "iiwa_position" / "f64" / "manifest.json"
     assert json.loads(manifest.read_text())["entry_points"]["control"]["operations"]["total"] <= 1120
@@ -52,7 +50,7 @@ def test_adams_model_of_the_iiwa_loses_most_of_its_operations(need_module: Calla
 
 
 def test_a_rotor_costs_no_sine() -> None:
-    robot = sg.urdf.load(IIWA, quiet=True)
+    robot = sg.urdf.load(IIWA, quiet=True, damping=None)
     assert not ca.depends_on(ca.vertcat(ca.vec(robot.mechanism.Q), robot.mechanism.P), robot.q[6])
 
 

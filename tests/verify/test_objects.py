@@ -6,8 +6,8 @@ import pytest
 import servogen as sg
 from servogen.loading import load_scene
 from servogen.verify import objects
+from servogen.verify.board_certificate import BoardCertificate, EntryCost
 from servogen.verify.budget import accept, exceeded, read
-from servogen.verify.certificate import Certificate, EntryCost
 from servogen.verify.objects import Function, StackUnknownError, stack, wrong_symbols
 from support.c import run
 
@@ -113,7 +113,7 @@ def certificate(**changes):
     given = {"entries": (entry,), "flash": 4000} | changes
     fixed = {"scene": "s", "scalar": "float32", "target": "cortex-m4", "prefix": "s_f32", "math": "own"}
     rest = {"compiler": "", "flags": (), "library": 0, "ram": 0, "state": {}, "functions": {}, "needs": ()}
-    return Certificate(**fixed, **rest, **given, problems=())
+    return BoardCertificate(**fixed, **rest, **given, problems=())
 
 
 def test_a_budget_allows_three_percent(tmp_path):

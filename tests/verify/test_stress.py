@@ -56,7 +56,7 @@ def test_the_generated_solver_passes():
 
 
 def test_a_long_row_sums_in_pairs():
-    """One term after the other, twelve of them leave a residual of 2.1 u |S| |tau|; the bar is 1.5."""
+    """One term after the other, twelve of them leave a residual of 2.1 eps |S| |tau|; the bar is 1.5."""
     report = stress.stress(systems=2500, shapes=((1, 12),), families=("dlatms spectra",), scalars=("float64",))
     assert failures(report) == set()
 
@@ -216,8 +216,8 @@ def test_every_claim_of_the_page_has_one_bar():
 
 def test_a_relative_error_of_a_few_ulps_fails():
     def make(m, l, scalar, solver):
-        u = 2.0**-52 if scalar == "float64" else 2.0**-23
-        return Textbook(m, l, scalar, solver, spoil=lambda x: (x * (1 + 16 * u)).astype(scalar))
+        eps = 2.0**-52 if scalar == "float64" else 2.0**-23
+        return Textbook(m, l, scalar, solver, spoil=lambda x: (x * (1 + 16 * eps)).astype(scalar))
 
     found = failures(stress.stress(make, systems=60, shapes=((1, 2), (2, 3)), families=("dlatms spectra",)))
     assert ("dlatms spectra", bars.TAU) in found

@@ -19,10 +19,9 @@ from servogen.bench.contenders import casadi_c, servogen_c
 from servogen.bench.inputs import drawn
 from servogen.bench.results import Output, labels
 from servogen.loading import load_scene
-from servogen.plan.solver import BITS
 from servogen.render.mathematics import NEAR, math_context
 from servogen.render.render import environment
-from servogen.scalars import EPSILON, Scalar
+from servogen.scalars import BITS, EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.tools import firmware_sim
 from servogen.verify.harness import build_images, execute, require_target, words_of, write_if_changed

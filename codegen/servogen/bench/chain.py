@@ -26,8 +26,7 @@ from matplotlib.figure import Figure
 import servogen as sg
 from servogen.bench import user
 from servogen.bench.results import Output
-from servogen.compiler import compile_functions, target_for
-from servogen.derive.derive import derive
+from servogen.compiler import compile_functions, derived_scene, target_for
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input
 from servogen.render.render import render
@@ -83,7 +82,7 @@ def ours(path: Path, floating: bool, points: Sequence[str], flags: Sequence[str]
     start = time.process_time()
     robot = sg.urdf.load(path, base="floating" if floating else "fixed", quiet=True)
     scene = positions(robot, points)
-    formulation = derive(scene)
+    formulation, _ = derived_scene(scene)
     system = [q for q in formulation.quantities if q.name in ("S", "z")]  # alone: the solver ends at 12 controls
     module = compile_functions(scene, system, formulation.mass, target_for("chain", "float64", None))
     files = {f.name: f.text for f in render(module)}

@@ -1,7 +1,8 @@
-"""What arms do on MuJoCo's physics: python -m servogen.bench.mujoco_figures [--panda panda.urdf] [--choices].
+"""What arms do on MuJoCo's physics: python -m servogen.bench.mujoco_figures [--panda panda.urdf] [--choices] [--flaws].
 
 The figures of docs/singularity.md, for iiwa_position, iiwa_pose and a Panda at 1 kHz, 500 Hz and 200 Hz, each beside
-our own plant; past full reach and back; with --choices other y and W in their place. The Panda's URDF is that of the
+our own plant; past full reach and back; with --choices other y and W in their place; with --flaws iiwa_position on
+machines with one flaw each, in both worlds. The Panda's URDF is that of the
 package example-robot-data. Files are taken without their joints' damping, which the scenes' models have not.
 """
 
@@ -9,26 +10,29 @@ import argparse
 import re
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from servogen.loading import load_simulation
 from servogen.results import FloatArray
 from servogen.scene.constraints import Holonomic
+from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Ref, References
 from servogen.scenes import iiwa_position
 from servogen.simulate.closed_loop import ClosedLoop
+from servogen.simulate.machine import Actuators
 from servogen.simulate.mujoco_plant import MujocoLoop, disagreement
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
-from servogen.urdf.robot import Robot, load
+from servogen.simulate.wanted import load_simulation
+from servogen.urdf.load import load
+from servogen.urdf.robot import Robot
 
 RATES = (1000, 500, 200)
 PANDA_TOOL = "panda_hand_tcp"
@@ -195,12 +199,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--panda", type=Path, help="a Franka Panda's URDF")
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--flaws", action="store_true", help="iiwa_position on machines with a flaw each, instead")
     parser.add_argument("--choices", action="store_true", help="y and W of iiwa_position exchanged, instead")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         iiwa = undamped(iiwa_position.ROBOT_FILE, Path(folder))
         if options.choices:
             show_choices(iiwa)
+            return
+        if options.flaws:
+            show_flaws(arm("iiwa_position", iiwa), iiwa_position.END_EFFECTOR, FLAWS)
             return
         arms = [arm("iiwa_position", iiwa), arm("iiwa_pose", iiwa)]
         robot, file, tool = iiwa_position.robot, iiwa, iiwa_position.END_EFFECTOR
@@ -251,6 +259,74 @@ def show_choices(file: Path) -> None:
                 f"statuses {sorted(set(found.status.tolist()))}",
                 flush=True,
             )
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """What a machine has and the controller's model has not, in words, and alike in both worlds.
+
+    damping (N m s/rad), armature (kg m^2): of every joint. payload: kg, a point at the tool. machine: options of
+    ClosedLoop.run for sensors, delay and actuators.
+    """
+
+    words: str
+    damping: float = 0.0
+    armature: float = 0.0
+    payload: float = 0.0
+    machine: Mapping[str, Any] = field(default_factory=dict)
+
+
+FLAWS = (
+    Flaw("none"),
+    Flaw("joint damping 0.5 N m s/rad", damping=0.5),
+    Flaw("armature 0.01 kg m^2", armature=0.01),
+    Flaw("armature 0.3 kg m^2", armature=0.3),
+    Flaw("payload 0.1 kg", payload=0.1),
+    Flaw("payload 2 kg", payload=2.0),
+    Flaw("noise of q 1e-5, of u 1e-4", machine={"noise": {"q": 1e-5, "u": 1e-4}}),
+    Flaw("noise of q 1e-3, of u 1e-2", machine={"noise": {"q": 1e-3, "u": 1e-2}}),
+    Flaw("delay 2 ms", machine={"delay": 2e-3}),
+    Flaw("delay 20 ms", machine={"delay": 20e-3}),
+    Flaw("30 N m at most", machine={"actuators": Actuators(limit=30.0)}),
+)
+"""Of an arm whose joints need up to 41 N m."""
+
+
+def loaded(file: Path, tool: str, payload: float, folder: Path) -> Path:
+    """A copy of a URDF with a point mass, in kg, at the origin of a link."""
+    link = f'<link name="payload"><inertial><mass value="{payload!r}"/>{_NO_INERTIA}</inertial></link>'
+    joint = f'<joint name="payload" type="fixed"><parent link="{tool}"/><child link="payload"/></joint>'
+    copy = folder / f"{file.stem}_loaded.urdf"
+    copy.write_text(file.read_text().replace("</robot>", f"{link}{joint}</robot>"))
+    return copy
+
+
+_NO_INERTIA = '<inertia ixx="1e-9" ixy="0" ixz="0" iyy="1e-9" iyz="0" izz="1e-9"/>'
+
+
+def flawed_runs(arm: Arm, tool: str, flaw: Flaw, **options: Any) -> tuple[Trajectory, Trajectory]:
+    """The arm's run with a flaw on MuJoCo's physics, and on our own with the same one, at 1 kHz."""
+    options = {"step": 1e-3, **options, **flaw.machine}
+    with tempfile.TemporaryDirectory() as folder:
+        file = loaded(arm.file, tool, flaw.payload, Path(folder)) if flaw.payload else arm.file
+        theirs = MujocoLoop(arm.scene, arm.simulation, file)
+        mech = load(file, quiet=True).mechanism if flaw.payload else arm.scene.mechanism
+    theirs.plant.model.dof_damping[theirs.plant.dofs] = flaw.damping
+    theirs.plant.model.dof_armature[theirs.plant.dofs] = flaw.armature
+    Q = mech.Q + flaw.armature * ca.SX.eye(mech.u.size1())
+    own = Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=mech.P - flaw.damping * mech.u, G=mech.G)
+    ours = ClosedLoop(arm.scene, replace(arm.simulation, plant=own))
+    return theirs.run(**options), ours.run(**options, hold=True)
+
+
+def show_flaws(arm: Arm, tool: str, flaws: Sequence[Flaw]) -> None:
+    """Both worlds' verdicts, largest deviations from the prescribed decay, and torques as parts of the limits."""
+    for flaw in flaws:
+        told = []
+        for run in flawed_runs(arm, tool, flaw):
+            off = float(np.max(np.linalg.norm(run.constraint - run.ideal, axis=1)))
+            told.append(f"{run.verdict.word:24} {off:8.2e} m  {np.max(np.abs(run.tau) / arm.effort):.3f}")
+        print(f"{flaw.words:28} MuJoCo: {told[0]}   own: {told[1]}", flush=True)
 
 
 def show_reach(far: Arm) -> None:

@@ -5,9 +5,8 @@ from typing import Any
 import casadi as ca
 
 from servogen.bench.results import Output
-from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.scene import Scene
-from servogen.scene.symbols import chains
+from servogen.twins.reference import textbook_system
 
 PARAMETERS = "p"
 
@@ -25,12 +24,9 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
     (16)-(17). ldlt: Q is factorised once, as an expert would, and solved with for the rows of psi_u; else `ca.solve`
     does what it does.
     """
-    if scene.system.tau_is_state:
-        S, z = _controls(scene)
-    elif scene.system.matrix_is_given:
-        S, z = _ideal(scene)
-    else:
-        S, z = _servo(scene, ldlt)
+    Q = scene.mechanism.Q
+    factors = ca.ldl(Q) if ldlt else ()
+    S, z = textbook_system(scene, lambda X: ca.ldl_solve(X, *factors) if ldlt else ca.solve(Q, X), rows=ldlt)
     inverse = ca.pinv(S) if scene.weight is None else _weighted_inverse(S, scene)
     if scene.y is None:
         tau = ca.mtimes(inverse, z)
@@ -54,59 +50,3 @@ def function(scene: Scene, name: str, expression: Any, cse: bool) -> Any:
     """One CasADi function of the scene's arguments, its common subexpressions found first where asked for."""
     result = ca.cse(expression) if cse else expression
     return ca.Function(name, [symbol for _, symbol in arguments(scene)], [result])
-
-
-def _servo(scene: Scene, ldlt: bool) -> tuple[Any, Any]:
-    mech = scene.mechanism
-    psi_u, rest = _rows(scene)
-    if ldlt:
-        W = ca.ldl_solve(psi_u.T, *ca.ldl(mech.Q)).T
-        return ca.mtimes(W, mech.G), rest - ca.mtimes(W, mech.P)
-    return ca.mtimes(psi_u, ca.solve(mech.Q, mech.G)), rest - ca.mtimes(psi_u, ca.solve(mech.Q, mech.P))
-
-
-def _ideal(scene: Scene) -> tuple[Any, Any]:
-    mech = scene.mechanism
-    J, b = _rows(scene)
-    inertia = ca.mtimes(J, ca.solve(mech.Q, J.T))
-    return mech.G, ca.mtimes(J.T, ca.solve(inertia, b - ca.mtimes(J, ca.solve(mech.Q, mech.P))))
-
-
-def _rows(scene: Scene) -> tuple[Any, Any]:
-    """J and b of the rows J u' = b."""
-    mech = scene.mechanism
-    J, X, prescribed = [], [], []
-    for c in scene.constraints:
-        assert not isinstance(c, ControlsInvolved)
-        psi_dot = _drift(scene, c.psi)
-        if isinstance(c, Holonomic):
-            J.append(ca.jacobian(psi_dot, mech.u))
-            X.append(_drift(scene, psi_dot))
-            prescribed.append(ca.mtimes(c.Theta1, psi_dot) + ca.mtimes(c.Theta2, c.psi))
-        else:
-            J.append(ca.jacobian(c.psi, mech.u))
-            X.append(psi_dot)
-            prescribed.append(ca.mtimes(c.Theta, c.psi))
-    return ca.vertcat(*J), ca.vertcat(*prescribed) - ca.vertcat(*X)
-
-
-def _controls(scene: Scene) -> tuple[Any, Any]:
-    mech = scene.mechanism
-    phi = ca.vertcat(*(c.phi for c in scene.constraints if isinstance(c, ControlsInvolved)))
-    prescribed = [ca.mtimes(c.Theta, c.phi) for c in scene.constraints if isinstance(c, ControlsInvolved)]
-    u_dot = ca.solve(mech.Q, mech.P + ca.mtimes(mech.G, mech.tau))
-    B = ca.vertcat(*prescribed) - _drift(scene, phi) - ca.mtimes(ca.jacobian(phi, mech.u), u_dot)
-    return ca.jacobian(phi, mech.tau), B
-
-
-def _drift(scene: Scene, psi: Any) -> Any:
-    """psi_q q' + psi_t + psi_r r', Eq. (5), without the term of u'."""
-    mech = scene.mechanism
-    drift = ca.mtimes(ca.jacobian(psi, mech.q), mech.q_dot)
-    if mech.t is not None:
-        drift += ca.jacobian(psi, mech.t)
-    assert scene.references is not None
-    for reference in chains(scene.references):
-        for value, derivative in zip(reference.chain, reference.chain[1:], strict=False):
-            drift += ca.mtimes(ca.jacobian(psi, value.symbol), derivative.symbol)
-    return drift

@@ -12,7 +12,7 @@ from servogen.bench.plot import draw
 from servogen.bench.results import Bench, Built, Instructions, Measurement, Output
 from servogen.bench.run import ROUNDS, bench
 from servogen.bench.solver.plot import draw as draw_precision
-from servogen.bench.solver.precision import SHAPES, Point, measure
+from servogen.bench.solver.work_precision import SHAPES, Point, measure
 from servogen.cli.console import (
     FAILED,
     all_option,
@@ -28,7 +28,7 @@ from servogen.cli.console import (
     to_jsonable,
 )
 from servogen.loading import load_scene
-from servogen.report.precision import render_precision
+from servogen.report.solver_page import render_solver_page
 
 HEADER = ("", "contender", "ns", "best", "99.9 %", "ratio", "max ulp", "med ulp", "max abs", "instr", "+libm",
           "NaN", "refused", "remark", "of")  # fmt: skip
@@ -121,7 +121,7 @@ def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bo
         found = measure(chosen_shapes, rounds=rounds, progress=advance)
     figures = draw_precision(found, folder)
     (folder / "solver.json").write_text(json.dumps(to_jsonable(found), indent=1) + "\n")
-    (folder / "solver.html").write_text(render_precision(found, figures), encoding="utf-8")
+    (folder / "solver.html").write_text(render_solver_page(found, figures), encoding="utf-8")
     for text in found.missing:
         complain("MISSING RIVAL", text)
     if as_json:
@@ -131,7 +131,7 @@ def bench_solver(folder: Path, shapes: tuple[str, ...], rounds: int, as_json: bo
         for kappa in (1.0, 1e8 if scalar == "float64" else 1e4):
             table(
                 f"{shape} {scalar}, kappa {kappa:g}: ns a solve, largest error",
-                ("contender", "median", "99.9 %", "worst", "/ (u kappa)", "relative"),
+                ("contender", "median", "99.9 %", "worst", "/ (eps kappa)", "relative"),
                 [_point(p) for p in found.facet(shape, scalar, kappa)],
                 right=range(1, 6),
             )

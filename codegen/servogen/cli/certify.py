@@ -23,9 +23,9 @@ from servogen.cli.console import (
 )
 from servogen.errors import SceneError
 from servogen.loading import load_scene, scene_folder
-from servogen.report.certificates import render_certificates
+from servogen.report.board_page import render_board_page
 from servogen.verify import budget
-from servogen.verify.certificate import Certificate, certify
+from servogen.verify.board_certificate import BoardCertificate, certify
 from servogen.verify.harness import require_target, targets
 
 BOARDS = tuple(name for name in targets() if name != "host")
@@ -68,7 +68,7 @@ def certify_command(
     where = BOARDS if "all" in boards else boards or ("cortex-m4",)
     for board in where:
         require_target(board)
-    found: list[Certificate] = []
+    found: list[BoardCertificate] = []
     over: list[str] = []
     unheld: list[str] = []
     with progress(as_json) as advance, ProcessPoolExecutor(jobs) as pool:
@@ -88,7 +88,7 @@ def certify_command(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "certificates.json").write_text(json.dumps(to_jsonable(result), indent=2) + "\n")
-        (folder / "certificates.html").write_text(render_certificates(found, problems))
+        (folder / "certificates.html").write_text(render_board_page(found, problems))
     if as_json:
         emit_json(result)
     else:
@@ -96,11 +96,11 @@ def certify_command(
     raise click.exceptions.Exit(FAILED if problems else GOOD)
 
 
-def _certified(name: str, boards: tuple[str, ...]) -> list[Certificate]:
+def _certified(name: str, boards: tuple[str, ...]) -> list[BoardCertificate]:
     return certify(load_scene(name), boards)
 
 
-def show(found: list[Certificate], problems: list[str], unheld: list[str]) -> None:
+def show(found: list[BoardCertificate], problems: list[str], unheld: list[str]) -> None:
     """The certificates as tables."""
     table(
         "Memory, in bytes: the package's code and constants, the compiler's arithmetic it calls, variables, stack",

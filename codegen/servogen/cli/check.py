@@ -75,7 +75,7 @@ def show(report: CheckReport) -> None:
         markup=False,
     )
     table(
-        f"tau against the exact solution of the code's own system, in u kappa (|tau| + |y|); the bar is {BAR:g}",
+        f"tau against the exact solution of the code's own system, in eps kappa (|tau| + |y|); the bar is {BAR:g}",
         ("scene", "scalar", "built by", "systems", "error", ""),
         [
             (s.scene, s.scalar, s.compiler, s.solved, f"{s.max_error:.3g}", "ok" if s.passed else "FAILED")

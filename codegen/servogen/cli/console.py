@@ -26,7 +26,7 @@ from servogen.loading import builtin_names
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
 err = Console(stderr=True, highlight=False)
 
-GOOD, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
+GOOD, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
 
 scenes_argument = click.argument("scenes", nargs=-1, metavar="SCENE...")
 all_option = click.option("--all", "every", is_flag=True, help="All built-in scenes.")

@@ -8,12 +8,17 @@ import click
 
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
+from servogen.fmu.unit import build_fmu, write_fmu
 from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
+from servogen.scene.scene import Scene
 from servogen.scene.system import System
+from servogen.simulate.machine import plant_scene
+from servogen.simulate.simulation import Simulation
+from servogen.simulate.wanted import load_simulation
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."
@@ -61,6 +66,11 @@ def _in_words(system: System) -> str:
     is_flag=True,
     help="Also the mechanism itself, q' and u', as <prefix>_plant.h and .c in ./<prefix>/plant/.",
 )
+@click.option(
+    "--fmu",
+    is_flag=True,
+    help="Also <prefix>.fmu, for co-simulation by FMI 3.0, sources and binary; with --plant the plant's too.",
+)
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @click.option(
     "--entry-points",
@@ -75,19 +85,33 @@ def generate(
     math: Math,
     out: Path | None,
     plant: bool,
+    fmu: bool,
     casadi_abi: bool,
     entry_points: str | None,
     as_json: bool,
 ) -> None:
     """Generate the C of SCENE, by default into ./<prefix>/."""
-    loaded = load_scene(scene)
+    loaded, simulation = load_simulation(scene)
     folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
     names = None if entry_points is None else [name.strip() for name in entry_points.split(",") if name.strip()]
     packages = [build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi, entry_points=names)]
     if plant:
         own = f"{packages[0].prefix}_plant"
         packages.append(build_plant(loaded, folder / "plant", scalar, own, math=math))
-    _report(packages, as_json)
+    units = []
+    if fmu:
+        units.append(write_fmu(packages[0], loaded, folder, plant=False, simulation=simulation))
+    if fmu and plant:
+        units.append(_plant_fmu(loaded, simulation, folder / "plant", packages[1], math))
+    _report(packages, as_json, units)
+
+
+def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Package, math: Math) -> Path:
+    """The plant's unit: around the package where the simulation adds nothing to the scene's mechanism."""
+    if plant_scene(scene, simulation) is scene:
+        return write_fmu(package, scene, folder, plant=True, simulation=simulation)
+    scalar = package.module.target.scalar
+    return build_fmu(scene, folder, scalar, package.prefix, plant=True, simulation=simulation, math=math)
 
 
 @click.command()
@@ -104,14 +128,18 @@ def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: 
     _report([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], as_json)
 
 
-def _report(packages: Sequence[Package], as_json: bool) -> None:
-    """The first package; in JSON the second, a plant, stands beside it."""
+def _report(packages: Sequence[Package], as_json: bool, units: Sequence[Path] = ()) -> None:
+    """The first package; in JSON the second, a plant, stands beside it. units: the files of the same as FMUs."""
     if as_json:
-        told = [{"path": p.path, "manifest": p.manifest} for p in packages]
+        told: list[dict[str, Any]] = [{"path": p.path, "manifest": p.manifest} for p in packages]
+        for entry, unit in zip(told, units, strict=False):
+            entry["fmu"] = unit
         emit_json(told[0] | ({"plant": told[1]} if len(told) > 1 else {}))
         return
     for package in packages:
         _show(package)
+    for unit in units:
+        out.print(f"  wrote    {unit}", markup=False, soft_wrap=True)
 
 
 def _show(package: Package) -> None:
@@ -130,4 +158,6 @@ def _show(package: Package) -> None:
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:
     counts = point["operations"]
-    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or "the solver alone"
+    copied = any(e.name == name for e in package.module.entry_points)
+    none = "none: inputs and constants as they are" if copied else "the solver alone"
+    return f"{package.prefix}_{name}", counts["total"] or "", mix_of(counts) or none

@@ -17,6 +17,7 @@ from servogen.cli.console import (
     GOOD,
     INTERNAL,
     INTERRUPTED,
+    UNREAD,
     WRONG_INPUT,
     complain,
     emit_json,
@@ -66,7 +67,7 @@ def cli() -> None:
     """From servo-constraints on a mechanical model, written in CasADi, to dependency-free C.
 
     SCENE is a built-in name (servogen list) or path/to/file.py[:variable].
-    Exit codes: 0 good, 1 a check failed, 2 wrong input, 3 an error of servogen itself.
+    Exit codes: 0 good, 1 a check failed, 2 wrong input, 3 an error of servogen itself, 130 interrupted.
     """
 
 
@@ -76,8 +77,10 @@ def main() -> None:
     try:
         # without its standalone mode click hands back the code of click.exceptions.Exit
         code = cli(standalone_mode=False)
+    except SystemExit:  # click's way where nobody reads standard output any more
+        sys.exit(UNREAD)
     except click.Abort:
-        sys.exit(INTERRUPTED)
+        _end("interrupted", INTERRUPTED, kind="servogen")
     except click.ClickException as error:
         if not _as_json():
             error.show()
@@ -106,12 +109,21 @@ def _as_json() -> bool:
 
 def _refused(error: OSError) -> str:
     """What the system said, and the remedy where it did not let us write."""
+    if error.filename is None and _while_printing(error):
+        return f"standard output: {error.strerror}; make room where it goes"
     path = error.filename or _written(error)
     if path and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"{path}: {error.strerror}; name a folder that you may write to with --out"
     if path and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path}: {error.strerror}; make room there, or name another folder (--out; temporary files: TMPDIR)"
     return f"{path}: {error.strerror}" if path and error.strerror else str(error)
+
+
+def _while_printing(error: OSError) -> bool:
+    """Whether it was words for standard output that could not be written: rich's, or our JSON."""
+    *_, (frame, _line) = traceback.walk_tb(error.__traceback__)
+    code = frame.f_code
+    return code is emit_json.__code__ or "rich" in Path(code.co_filename).parts
 
 
 def _written(error: OSError) -> Path | None:

@@ -54,7 +54,8 @@ def report_command(
     """Generate, simulate, cross-check and benchmark SCENE...; one self-contained HTML page, and the files beside it.
 
     Ctrl-C ends the stage that runs; the page then shows what was done until then, and says what is missing. Exit code 0
-    where the generated code is right; whether the loop was held is a verdict on the page and in --json.
+    where the generated code is right and the page complete; whether the loop was held, and on how many machines that
+    differ from the model, is a verdict on the page and in --json: `servogen simulate` has it in its exit code.
     """
     names = chosen(scenes, every)
     without: tuple[tuple[str, str], ...] = ()
@@ -81,6 +82,7 @@ def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]
     scenes = {
         s.name: {
             "verdict": None if s.loop is None else s.loop.trajectory.verdict,
+            "robustness": None if s.robustness is None else s.robustness.runs.verdicts,
             "check": s.check,
             "board": s.board,
             "missing": s.missing,

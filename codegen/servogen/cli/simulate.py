@@ -14,7 +14,6 @@ from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, prog
 from servogen.cli.generate import scalar_option
 from servogen.cli.runs import runs_summary, show_runs
 from servogen.errors import SceneError
-from servogen.loading import load_simulation
 from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
@@ -27,6 +26,7 @@ from servogen.simulate.robustness import write_robustness
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.verdict import Verdict
+from servogen.simulate.wanted import load_simulation
 from servogen.verify.harness import targets
 
 
@@ -139,8 +139,14 @@ def simulate_command(
     simulation = simulation.holding(changed["references"])
     on = replace(simulation, **{n: v for n, v in machine.items() if v is not None})
     drawn = dict(simulation.spread) | _assignments(spread, "--spread", takes["parameters"] | readings)
-    if runs is not None and (target != "host" or replay is not None):
-        raise SceneError("--runs go on this machine, all of them; --replay SEED, without --runs, does one anywhere")
+    if runs is not None and replay is not None:
+        raise SceneError("--runs and --replay: leave out --runs; --replay SEED does that one of them, with its rows")
+    if runs is not None and target != "host":
+        raise SceneError("--runs go on this machine; leave out --target, or replay one of them there: --replay SEED")
+    if spread and runs is None and replay is None:
+        raise SceneError("--spread is what --runs draw; add --runs N, or --replay SEED for one of them")
+    if replay is not None:
+        on = replace(on, seed=replay)
     folder = out or Path("simulation") / loaded.name
     with progress(as_json) as advance:
         advance(0, 1, f"{loaded.name}: compiling")
@@ -182,6 +188,7 @@ def simulate_command(
         if not no_plots and len(trajectory.t):
             files += write_plots(loaded, simulation, trajectory, folder)
     summary = _summary(trajectory, scalar) | {
+        "drawn_at_the_start": [n for n in ("q", "u") if n not in changed["start"] and n not in simulation.start],
         "target": target,
         "rows_unlike_the_hosts": differing,
         "mujoco": None if mujoco is None else {"model": str(mujoco), "differences": _differences(loop)},
@@ -240,6 +247,8 @@ def _actuators(simulation: Simulation, controls: int, given: Mapping[str, str | 
         except ValueError as error:
             told = str(error) if isinstance(error, SceneError) else f"--{name} {text!r}; write a number, or {controls}"
             raise SceneError(told) from None
+        if not np.all(stated[name] >= 0):
+            raise SceneError(f"--{name} {text}: give numbers that are not negative")
     return replace(simulation.actuators or Actuators(), **stated) if stated else simulation.actuators
 
 
@@ -323,6 +332,10 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
     out.print(
         f"  {METHOD_NAMES[trajectory.method]}, step {trajectory.step:g} s, {way}, {summary['rows']} rows", markup=False
     )
+    if summary["drawn_at_the_start"]:
+        names = " and ".join(summary["drawn_at_the_start"])
+        own = " ".join(f"--start {n}=..." for n in summary["drawn_at_the_start"])
+        out.print(f"  {names} at the start drawn from the domain, for nothing gives it ({own})", markup=False)
     if summary["plant"]:
         told = "; ".join(
             f"{n} = {_numbers(v)}, not {_numbers(trajectory.parameters[n])}" for n, v in summary["plant"].items()

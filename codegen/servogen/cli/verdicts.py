@@ -13,9 +13,9 @@ from servogen.cli.console import (
     scenes_argument,
     table,
 )
-from servogen.loading import load_simulation
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trials import trials
+from servogen.simulate.wanted import load_simulation
 
 
 @click.command("verdicts")

@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.answer import controlling
-from servogen.derive.formulation import Formulation, Quantity
+from servogen.derive.formulation import Formulation, MassFindings, Quantity
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.rates import rate
 from servogen.derive.servo import free_quantities
@@ -14,7 +14,7 @@ from servogen.derive.weight import weigh
 from servogen.law.law import Law, Routine
 from servogen.law.steps import STATE, SYSTEM, Advance, Call, Project
 from servogen.scene.constraints import ControlsInvolved
-from servogen.scene.scene import Scene
+from servogen.scene.samples import Samples
 
 BENT_CAP = 25
 """Steps of a projection where phi is not affine in tau; Newton's method ends in far fewer or not at all."""
@@ -23,10 +23,11 @@ AFFINE_CAP = 2
 """Steps of a projection where it is: one is exact, another takes back the rounding of a start far away."""
 
 
-def derive_controls(scene: Scene) -> Formulation:
+def derive_controls(samples: Samples, found: MassFindings) -> Formulation:
     """phi, A and B; also y where it is an expression."""
+    scene = samples.scene
     mech = scene.mechanism
-    u_dot, mass = solve_with_mass(scene, mech.P + ca.mtimes(mech.G, mech.tau))
+    u_dot, mass = solve_with_mass(scene, found, mech.P + ca.mtimes(mech.G, mech.tau))
     phi, B = [], []
     for c in scene.constraints:
         assert isinstance(c, ControlsInvolved)

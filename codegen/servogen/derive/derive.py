@@ -1,20 +1,14 @@
-"""The first stage of the pipeline."""
-
-from dataclasses import replace
+"""From a scene to its equations."""
 
 from servogen.derive.controls import derive_controls
-from servogen.derive.formulation import Formulation
+from servogen.derive.formulation import Formulation, MassFindings
 from servogen.derive.ideal import derive_ideal
-from servogen.derive.reach import check_finite, check_reach
 from servogen.derive.servo import derive_servo
-from servogen.scene.scene import Scene
+from servogen.scene.samples import Samples
 
 _DERIVATIONS = {"servo": derive_servo, "ideal": derive_ideal, "controls": derive_controls}
 
 
-def derive(scene: Scene) -> Formulation:
-    """The scene's system and what belongs to it. SceneError for a singular Q or a constraint without effect."""
-    formulation = _DERIVATIONS[scene.kind](scene)
-    check_finite(formulation)
-    remarks = formulation.mass.remarks + check_reach(formulation)
-    return replace(formulation, remarks=tuple(f"scene {scene.name!r}: {text}" for text in remarks))
+def derive(samples: Samples, found: MassFindings) -> Formulation:
+    """The system of the samples' scene and what belongs to it. found: of its Q. SceneError for a Q that is singular."""
+    return _DERIVATIONS[samples.scene.kind](samples, found)

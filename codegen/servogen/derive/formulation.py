@@ -20,6 +20,16 @@ class Quantity:
     needs_mass: bool = False
 
 
+@dataclass(frozen=True)
+class MassFindings:
+    """What is known of Q before it is solved with: symmetric by proof, positive definite at every state drawn from the
+    domain. remarks: on its signs and symmetry."""
+
+    symmetric: bool
+    positive_definite: bool
+    remarks: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class MassTreatment:
     """How Q is solved with, and why; pivots at or below n eps times their scale mean a singular Q at run time."""
@@ -29,7 +39,6 @@ class MassTreatment:
     pivots: tuple[Any, ...] = ()
     scales: tuple[Any, ...] = ()
     positive_definite: bool = False  # at every state drawn from the domain
-    remarks: tuple[str, ...] = ()  # on Q's signs and symmetry
     factor: "MassFactor | None" = None  # where Q is positive definite
 
 

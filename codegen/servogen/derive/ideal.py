@@ -7,26 +7,27 @@ import casadi as ca
 import numpy as np
 
 from servogen.derive.answer import controlling
-from servogen.derive.formulation import Formulation, Quantity
-from servogen.derive.mass import sample, solve_square, solve_with_mass
+from servogen.derive.formulation import Formulation, MassFindings, Quantity
+from servogen.derive.mass import solve_square, solve_with_mass
 from servogen.derive.servo import constraint_rows, free_quantities
 from servogen.derive.weight import weigh
 from servogen.law.law import Routine
 from servogen.law.steps import Evaluate, React
-from servogen.scene.scene import Scene
+from servogen.scene.samples import Samples
 
 _REACT = React("R", "reaction", "reaction_matrix", "reaction_right", "J")
 _REACTION = ("reaction_matrix", "reaction_right", "J")
 
 
-def derive_ideal(scene: Scene) -> Formulation:
+def derive_ideal(samples: Samples, found: MassFindings) -> Formulation:
     """psi, T and F (for verification), and what R and tau are computed from."""
+    scene = samples.scene
     mech = scene.mechanism
     psi, J, X, prescribed = constraint_rows(scene)
     b = prescribed - X
-    W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
+    W_transposed, mass = solve_with_mass(scene, found, J.T, transposed=True)
     W = W_transposed.T
-    T, F = nonminimal_form(mech.Q, mech.P, J, b, dependent_columns(scene, J))
+    T, F = nonminimal_form(mech.Q, mech.P, J, b, dependent_columns(samples, J))
     weight = weigh(scene, mass)
     quantities = [
         Quantity("psi", psi, "Eqs. (3), (11)", "psi(q, u, t)"),
@@ -49,12 +50,12 @@ _EVEN = 1e-9
 """Columns whose scores differ by less, relative to the larger, are even: rounding does not choose among them."""
 
 
-def dependent_columns(scene: Scene, J: Any) -> tuple[int, ...]:
+def dependent_columns(samples: Samples, J: Any) -> tuple[int, ...]:
     """The m entries of u taken as dependent, Eq. (26): by pivoting over states of the domain, all at once.
 
     At each step the column whose part outside those taken is largest over the states.
     """
-    values = sample(scene, J)
+    values = samples.values(J)
     values = values[np.all(np.isfinite(values), axis=(1, 2))]
     size = np.linalg.norm(values, axis=(1, 2), keepdims=True)
     rest = values / np.where(size == 0, 1, size)

@@ -1,6 +1,7 @@
-"""The second stage of the pipeline: a scene's quantities as one program over its inputs and parameters."""
+"""A scene's model and its quantities as programs over its inputs and parameters."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -26,10 +27,14 @@ def lower_quantities(scene: Scene, quantities: Sequence[Quantity], mass: MassTre
     return lower_expressions(scene.name, scene_inputs(scene), outputs)
 
 
+@lru_cache(maxsize=128)
 def lower_model(scene: Scene) -> Program:
-    """Q, P and G as the scene writes them, before anything is solved."""
+    """Q, P and G as the scene writes them, before anything is solved, and W where it gives one of its own."""
     mech = scene.mechanism
-    return lower_expressions("model", scene_inputs(scene), [("Q", mech.Q), ("P", mech.P), ("G", mech.G)])
+    outputs = [("Q", mech.Q), ("P", mech.P), ("G", mech.G)]
+    if scene.weight is not None and not scene.weighs_by_inverse_mass:
+        outputs.append(("W", scene.weight))
+    return lower_expressions("model", scene_inputs(scene), outputs)
 
 
 def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:

@@ -1,93 +1,33 @@
 """Solving with the mass matrix Q: never its inverse, only one factorisation of what is structurally there.
 
-LDL^T where Q is symmetric by proof and positive definite over the domain by check, LU with pivoting otherwise.
+LDL^T where Q was found symmetric and positive definite over the domain (survey/definiteness.py), LU with pivoting
+otherwise.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from servogen.derive.formulation import MassFactor, MassTreatment
+from servogen.derive.formulation import MassFactor, MassFindings, MassTreatment
 from servogen.errors import SceneError
-from servogen.ir.lower import lower_expressions
-from servogen.ir.program import Input
-from servogen.optimise.passes import optimise
-from servogen.optimise.value_numbering import number_values
-from servogen.results import FloatArray
-from servogen.scene.domain import draw_states
 from servogen.scene.scene import Scene
 
-_SAMPLES = 32
-ZERO = 1e-13
-"""An eigenvalue or a singular value of a matrix brought to one that is not larger is what rounding leaves of 0."""
 Rows = list[list[Any]]
 
 
-def solve_with_mass(scene: Scene, right: Any, transposed: bool = False) -> tuple[Any, MassTreatment]:
+def solve_with_mass(
+    scene: Scene, found: MassFindings, right: Any, transposed: bool = False
+) -> tuple[Any, MassTreatment]:
     """X with Q X = right (Q^T X = right if transposed), and how it was found. right: SX, n_u x k."""
     Q = scene.mechanism.Q
-    samples = sample(scene, Q)
-    _check_regular(Q, samples)
-    X, mass = _solve(scene, Q, samples, right, transposed)
-    return X, replace(mass, remarks=_remarks(samples[: _SAMPLES // 4]))  # at the default parameters
-
-
-def _solve(scene: Scene, Q: Any, samples: FloatArray, right: Any, transposed: bool) -> tuple[Any, MassTreatment]:
     diagonal = _is_diagonal(Q)
-    if not diagonal and not is_symmetric(Q):
+    if not diagonal and not found.symmetric:
         return _solve_lu(Q.T if transposed else Q, right, "Q is not symmetric by proof")
-    smallest = np.array([_smallest_eigenvalue(value) for value in samples])
-    positive = bool(np.all(smallest > ZERO))
     if diagonal:
-        return _solve_diagonal(Q, right, positive)
-    if not positive:
+        return _solve_diagonal(Q, right, found.positive_definite)
+    if not found.positive_definite:
         return _solve_lu(Q, right, "Q is symmetric but not positive definite over the domain")
     return _solve_ldlt(Q, right)
-
-
-def sample(scene: Scene, expression: Any, count: int = _SAMPLES) -> FloatArray:
-    """An expression at `count` states of the domain and as many sets of parameters: array (count, rows, columns).
-
-    The first quarter of the sets are the defaults; the others lie between half and twice of them, for parameters
-    change at run time.
-    """
-    fields = scene.input_fields()
-    symbols = [f.symbol for f in fields] + [f.symbol for f in scene.parameters]
-    states = draw_states(scene, count)
-    columns = [ca.DM(states[f.name].T) for f in fields]
-    columns += [ca.DM(_around_default(f.default, count, k).T) for k, f in enumerate(scene.parameters)]
-    function = ca.Function("sample", symbols, [ca.densify(expression)])
-    values = np.array(function.map(count)(*columns)) if symbols else np.array(function())
-    rows, cols = expression.shape
-    return values.reshape(rows, count, cols).transpose(1, 0, 2)
-
-
-def _around_default(default: tuple[float, ...], count: int, seed: int) -> FloatArray:
-    """Values of one parameter, array (count, size)."""
-    factors = 2.0 ** np.random.default_rng([7, seed]).uniform(-1, 1, (count, len(default)))
-    factors[: count // 4] = 1.0
-    return np.asarray(np.array(default) * factors)
-
-
-def is_symmetric(matrix: Any) -> bool:
-    """Whether every pair of entries is one value number after optimisation: a proof, not a comparison of numbers."""
-    n = matrix.size1()
-    inputs = _symbols_as_inputs(matrix)
-    pairs = [(f"e{i}_{j}", matrix[i, j]) for i in range(n) for j in range(n) if i != j]
-    program = number_values(optimise(lower_expressions("symmetry", inputs, pairs)))
-    node = {o.name: o.nodes[0] for o in program.outputs}
-    return all(node[f"e{i}_{j}"] == node[f"e{j}_{i}"] for i in range(n) for j in range(i))
-
-
-def _smallest_eigenvalue(value: FloatArray) -> float:
-    """Of a symmetric matrix brought to a diagonal of ones, which keeps all signs; NaN where it is not finite."""
-    if not np.all(np.isfinite(value)):
-        return np.nan
-    size = np.sqrt(np.abs(np.diag(value)))
-    size[size == 0] = 1
-    return float(np.min(np.linalg.eigvalsh(value / size / size[:, None])))
 
 
 def solve_square(matrix: Any, right: Any) -> Any:
@@ -95,50 +35,6 @@ def solve_square(matrix: Any, right: Any) -> Any:
     if _is_diagonal(matrix):
         return _matrix([[_over(e, matrix[k, k]) for e in row] for k, row in enumerate(_entries(right))])
     return _solve_lu(matrix, right, "")[0]
-
-
-def _symbols_as_inputs(expression: Any) -> list[tuple[Input, Any]]:
-    return [(Input(f"s{k}", 1), s) for k, s in enumerate(ca.symvar(expression))]
-
-
-def _check_regular(Q: Any, samples: FloatArray) -> None:
-    n = Q.size1()
-    structural = ca.sprank(ca.sparsify(Q)) < n
-    finite = [value for value in samples if np.all(np.isfinite(value))]
-    if not finite:
-        raise SceneError("Q is not finite at any state drawn from the domain; give a domain in which it is")
-    generic = all(np.linalg.matrix_rank(_equilibrated(value), rtol=ZERO) < n for value in finite)
-    if structural or generic:
-        raise SceneError(
-            f"Q is structurally singular: its rank is below {n} at every state; "
-            "give each velocity parameter an inertia, or remove it from u"
-        )
-
-
-def _remarks(samples: FloatArray) -> tuple[str, ...]:
-    """On a Q that no kinetic energy has; the method does not mind."""
-    finite = [value for value in samples if np.all(np.isfinite(value))]
-    for value in finite:
-        size = np.sqrt(np.abs(np.diag(value)))
-        uneven = np.abs(value - value.T) > 1e-9 * np.maximum(np.outer(size, size), np.abs(value))  # in its own units
-        if np.any(uneven):
-            i, j = np.argwhere(uneven)[0]
-            return (f"Q is not symmetric, as a mass matrix is: Q[{i}, {j}] is not Q[{j}, {i}]; check its entries",)
-    wrong = sum(_smallest_eigenvalue(value) < -ZERO for value in finite)
-    if wrong:
-        return (
-            f"Q is not positive definite at {wrong} of {len(samples)} states drawn from the domain, as a mass matrix "
-            "is; check its signs, or narrow the domain",
-        )
-    return ()
-
-
-def _equilibrated(value: FloatArray) -> FloatArray:
-    """Rows and columns scaled to one, so that units do not look like singularity."""
-    rows = np.max(np.abs(value), axis=1, keepdims=True)
-    value = value / np.where(rows == 0, 1, rows)
-    columns = np.max(np.abs(value), axis=0, keepdims=True)
-    return np.asarray(value / np.where(columns == 0, 1, columns))
 
 
 def _is_diagonal(Q: Any) -> bool:

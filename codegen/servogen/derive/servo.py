@@ -5,23 +5,25 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.answer import controlling
-from servogen.derive.formulation import Formulation, Quantity, Weight
-from servogen.derive.known import holonomic_rates, nonholonomic_rates
+from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
+from servogen.derive.formulation import Formulation, MassFindings, Quantity, Weight
 from servogen.derive.mass import solve_with_mass
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.convert import is_identity
-from servogen.scene.known import Gauge
+from servogen.scene.known_rates import Gauge
+from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene
 
 
-def derive_servo(scene: Scene) -> Formulation:
+def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     """psi, S and z; also y where it is an expression, and S L^-T with its like where there is a weight."""
+    scene = samples.scene
     mech = scene.mechanism
     gauge = mech.gauge
     psi, J, X, prescribed = constraint_rows(scene, gauge)
     # m solves with Q for the rows of psi_u, not l for the columns of G
-    W_transposed, mass = solve_with_mass(scene, J.T, transposed=True)
+    W_transposed, mass = solve_with_mass(scene, found, J.T, transposed=True)
     W = W_transposed.T
     S = ca.mtimes(W, mech.G)
     force = mech.P if gauge is None else gauge.force

@@ -3,33 +3,23 @@
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from servogen.derive.formulation import MassFactor, MassTreatment, Weight
-from servogen.derive.mass import ZERO, is_symmetric, sample
 from servogen.errors import SceneError
 from servogen.scene.convert import is_identity
 from servogen.scene.scene import Scene
 
 
 def weigh(scene: Scene, mass: MassTreatment) -> Weight | None:
-    """The factor of the scene's weight, or None. SceneError unless symmetric by proof and positive definite.
+    """The factor of the scene's weight, or None. A W of the user's was found symmetric and positive definite.
 
-    mass: how Q is solved with; W = Q^-1 takes its factors.
+    mass: how Q is solved with; W = Q^-1 takes its factors. SceneError where Q has none.
     """
     if scene.weighs_by_inverse_mass:
         return _weigh_by_inverse_mass(mass)
     W = scene.weight
     if W is None or is_identity(W):
         return None
-    if not is_symmetric(W):
-        raise SceneError("weight is not symmetric by proof; write W[j, i] as the same expression as W[i, j]")
-    for value in sample(scene, W):
-        if np.all(np.isfinite(value)) and not _positive_definite(value):
-            raise SceneError(
-                "weight is not positive definite over the domain: its smallest eigenvalue is "
-                f"{_smallest_eigenvalue(value):.4g} at a state of it; add a positive diagonal, or narrow it"
-            )
     L = _cholesky(W)
     N = _inverse_transpose(L)
     entries, pattern = _nonzeros(N)
@@ -72,22 +62,6 @@ def _solve_half(factor: MassFactor, root: list[Any], right: Any) -> Any:
         rows.append(row)
     solution = [row / root[i] for i, row in enumerate(rows)]
     return ca.vertcat(*(row for _, row in sorted(zip(factor.order, solution, strict=True), key=lambda pair: pair[0])))
-
-
-def _positive_definite(value: Any) -> bool:
-    """Rows and columns scaled to a unit diagonal first, so that units do not look like indefiniteness."""
-    diagonal = np.diag(value)
-    if np.any(diagonal <= 0):
-        return False
-    root = np.sqrt(diagonal)
-    return bool(np.min(np.linalg.eigvalsh(value / np.outer(root, root))) > ZERO)
-
-
-def _smallest_eigenvalue(value: Any) -> float:
-    """As it is told: 0 for what rounding makes of 0."""
-    eigenvalues = np.linalg.eigvalsh(value)
-    smallest = float(eigenvalues[0])
-    return smallest if abs(smallest) > ZERO * np.max(np.abs(eigenvalues)) else 0.0
 
 
 def _cholesky(W: Any) -> Any:

@@ -175,6 +175,12 @@ def live(program: Program, roots: Iterable[int]) -> set[int]:
     return alive
 
 
+def only(program: Program, *names: str) -> Program:
+    """The part of a program that computes the named outputs."""
+    kept = [program.output(name) for name in names]
+    return rebuild(program, sorted(live(program, (n for o in kept for n in o.nodes))), kept)
+
+
 def rebuild(program: Program, order: Iterable[int], outputs: Iterable[Output] | None = None) -> Program:
     """The instructions `order` alone, in that order, renumbered; outputs default to the program's own."""
     number: dict[int, int] = {}

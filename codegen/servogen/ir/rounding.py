@@ -1,7 +1,7 @@
 """First-order bounds on the rounding error of a program, state by state.
 
 Each operation v errs by at most its row's `rounding` units in the last place, and the error reaches an output through
-the derivative of that output with respect to v: bound = sum over v of |d out / d v| * rounding(v) * u |v|.
+the derivative of that output with respect to v: bound = sum over v of |d out / d v| * rounding(v) * eps |v|.
 """
 
 import math

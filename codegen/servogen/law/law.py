@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal
 
 from servogen.law.steps import (
     STATE,
     STEPS,
+    Advance,
     Apply,
     Call,
     Evaluate,
@@ -25,6 +26,11 @@ from servogen.law.steps import (
 
 _DECLARED = ("inputs", "quantities", "solvers")
 
+Form = Literal["step", "limited", "evaluation", "tick"]
+"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an evaluation and steps on what it leaves, one
+of which is a solve that fills info (without info, one quiet step alone); a call, an input advanced along its answer,
+and a call there."""
+
 
 @dataclass(frozen=True)
 class Routine:
@@ -39,6 +45,27 @@ class Routine:
     result: str
     arguments: tuple[tuple[str, Shape], ...] = ()
     info: bool = True
+
+    @property
+    def form(self) -> Form | None:
+        """How its C is put together; None where there is no C for its steps."""
+        words = [row_of(step).places for step in self.steps]
+        if len(words) == 1 and "alone" in words[0]:
+            return "step" if self.info else None
+        if self.info and len(self.steps) == 2 and "alone" in words[0] and "limiting" in words[1]:
+            return "limited"
+        if words and "first" in words[0]:
+            return "evaluation" if _prints(self.steps[1:], self.info) else None
+        return "tick" if self._is_tick() else None
+
+    def _is_tick(self) -> bool:
+        if not self.info or len(self.steps) != 3:
+            return False
+        first, advance, last = self.steps
+        if not (isinstance(first, Call) and isinstance(advance, Advance) and isinstance(last, Call)):
+            return False
+        moved = (advance.of.removeprefix(STATE), advance.into)
+        return first.moved is None and advance.of.startswith(STATE) and last.moved == moved and last.into == self.result
 
     def evaluated(self) -> tuple[str, ...]:
         """The quantities that its kernel hands out."""
@@ -76,6 +103,10 @@ class Law:
         for routine in self.routines:
             yield from routine.steps
 
+    def advanced(self) -> tuple[str, ...]:
+        """The inputs that steps move along their rates: what a controller carries from tick to tick."""
+        return tuple(dict.fromkeys(s.of.removeprefix(STATE) for s in self.steps() if isinstance(s, Advance)))
+
     def matrix_of(self, solver: str) -> str:
         """The name of the quantity that a solver is given. KeyError where none of its steps names one."""
         for step in self.steps():
@@ -108,7 +139,36 @@ def check_legal(law: Law) -> Law:
     for name in (n for names in law.entries for n in names if n not in declared["quantities"]):
         raise IllegalLawError(f"law {law.name}: an entry hands out {name}, which is no quantity")
     shapes(law)
+    _check_forms(law)
     return law
+
+
+def _check_forms(law: Law) -> None:
+    """IllegalLawError naming the first routine whose C cannot be printed."""
+    for routine in law.routines:
+        place = f"law {law.name}, {routine.name}: {', '.join(row_of(step).word for step in routine.steps) or 'no step'}"
+        if routine.form is None:
+            without = "" if routine.info else " without info"
+            raise IllegalLawError(
+                f"{place}{without} cannot be printed; a routine is one step of its own, or an evaluation with one "
+                "solve and steps like multiply behind it, or a call, an advance and a call"
+            )
+        given = {name for name, _ in routine.arguments}
+        if routine.form == "step" and not of_the_state(routine):
+            for name in (n for step in routine.steps for n in row_of(step).reads(step) if n not in given):
+                raise IllegalLawError(f"{place} cannot be printed: it takes no state, and {name} is no argument")
+    for word in sorted({row_of(step).word for step in law.steps() if isinstance(step, React | Project)}):
+        if len({step for step in law.steps() if row_of(step).word == word}) > 1:
+            raise IllegalLawError(f"law {law.name} has two different steps {word}, whose functions in C share names")
+
+
+def _prints(behind: tuple[Step, ...], info: bool) -> bool:
+    """Whether there is C for these steps behind an evaluation: its status would be lost with a second solve."""
+    places = [row_of(step).places for step in behind]
+    if not info:
+        return len(places) == 1 and "quiet" in places[0]
+    solves = sum(isinstance(step, Solve | Apply) for step in behind)
+    return solves == 1 and all("behind" in place for place in places)
 
 
 def shapes(law: Law) -> dict[str, Shape]:

@@ -7,7 +7,7 @@ render/render.py. tests/law/test_law.py holds them together.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from servogen.results import Status
 
@@ -152,16 +152,23 @@ class Call:
 Step = Evaluate | Solve | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
 
 
+Place = Literal["alone", "first", "behind", "quiet", "between", "limiting"]
+"""In a routine of its own; the evaluation that others stand behind; behind one; the only one behind one in a routine
+without info; among calls of routines; behind a solve of matrices that the caller gives."""
+
+
 @dataclass(frozen=True)
 class Row:
     """What a step means beside its C and its exact answer.
 
-    word: its name in print. reads: the names it needs. shape: of what it leaves in `into`, from the shapes of what it
-    reads; KeyError or ShapeError where these do not fit. statuses: what it may say beside OK. refuses: it tells by its
-    own status when something it reads is not finite, so that nobody need look before.
+    word: its name in print. places: where it may stand in a routine, see law.Form. reads: the names it needs.
+    shape: of what it leaves in `into`, from the shapes of what it reads; KeyError or ShapeError where these do not fit.
+    statuses: what it may say beside OK. refuses: it tells by its own status when something it reads is not finite, so
+    that nobody need look before.
     """
 
     word: str
+    places: tuple[Place, ...]
     reads: Callable[[Any], tuple[str, ...]]
     shape: Callable[[Any, Mapping[str, Shape]], Shape]
     statuses: tuple[Status, ...]
@@ -241,6 +248,7 @@ _REFUSED = (Status.NONFINITE, Status.NOT_CONVERGED, Status.OVERFLOW)
 STEPS: dict[type, Row] = {
     Evaluate: Row(
         "evaluate",
+        ("first",),
         lambda step: (),
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
         (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
@@ -248,6 +256,7 @@ STEPS: dict[type, Row] = {
     ),
     Solve: Row(
         "solve",
+        ("alone", "behind"),
         lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
         _solved,
         (*_RANK, *_REFUSED),
@@ -255,6 +264,7 @@ STEPS: dict[type, Row] = {
     ),
     Apply: Row(
         "apply",
+        ("behind",),
         lambda step: (step.right, *([step.free] if step.free else [])),
         _solved,
         (*_RANK, Status.NONFINITE, Status.OVERFLOW),
@@ -262,6 +272,7 @@ STEPS: dict[type, Row] = {
     ),
     React: Row(
         "react",
+        ("behind", "quiet"),
         lambda step: (step.matrix, step.right, step.jacobian),
         _reacted,
         (*_RANK, *_REFUSED),
@@ -269,6 +280,7 @@ STEPS: dict[type, Row] = {
     ),
     Multiply: Row(
         "multiply",
+        ("behind",),
         lambda step: (step.entries, step.vector),
         _multiplied,
         (Status.OVERFLOW,),
@@ -276,6 +288,7 @@ STEPS: dict[type, Row] = {
     ),
     Limit: Row(
         "limit",
+        ("limiting",),
         lambda step: (
             *(step.start, step.matrix, step.right, step.lower, step.upper),
             *(name for name in (step.free, step.slowed, step.metric) if name),
@@ -289,6 +302,7 @@ STEPS: dict[type, Row] = {
     ),
     Invert: Row(
         "invert",
+        ("alone",),
         lambda step: (step.matrix,),
         lambda step, shapes: (shapes[step.matrix][1], shapes[step.matrix][0]),
         (*_RANK, *_REFUSED),
@@ -296,6 +310,7 @@ STEPS: dict[type, Row] = {
     ),
     Project: Row(
         "project",
+        ("alone",),
         lambda step: (step.of,),
         _projected,
         (*_RANK, *_REFUSED),
@@ -303,6 +318,7 @@ STEPS: dict[type, Row] = {
     ),
     Advance: Row(
         "advance",
+        ("between",),
         lambda step: (step.of, step.rate, step.dt),
         _advanced,
         (Status.NONFINITE, Status.OVERFLOW),
@@ -310,6 +326,7 @@ STEPS: dict[type, Row] = {
     ),
     Call: Row(
         "call",
+        ("between",),
         lambda step: (step.moved[1],) if step.moved else (),
         _called,
         (),  # those of the routine

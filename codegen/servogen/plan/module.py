@@ -101,7 +101,7 @@ class EntryPoint:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownMatrix:
     """The matrix of the scene's system does not depend on the state, and its pseudo-inverse is at hand at each tick.
 
     name: of the quantity. when "generation": matrix and inverse are exact numbers, row by row. when "prepare":
@@ -132,7 +132,7 @@ class Module:
     """One package of C, ready to print.
 
     law: what happens between the kernels. system: the names of what it solves, None where it solves no scene's.
-    solvers: the plans of the law's solvers, by name. known: how the matrix of an Apply is at hand.
+    solvers: the plans of the law's solvers, by name. known_matrix: how the matrix of an Apply is at hand.
     limits: the plan of the law's Limit.
     """
 
@@ -149,7 +149,7 @@ class Module:
     mass_tolerance: float
     system: System | None = None
     solvers: Mapping[str, SolverPlan] = field(default_factory=dict)
-    known: Known | None = None
+    known_matrix: KnownMatrix | None = None
     limits: BoundPlan | None = None
     skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
 

@@ -12,10 +12,9 @@ from servogen.law.law import Law, Routine, check_legal, restricted
 from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Limit, Project, Solve, Step, handed_out
 from servogen.plan.bounds import plan_bounds
 from servogen.plan.chunks import split
-from servogen.plan.known import plan_known
+from servogen.plan.known_matrix import plan_known_matrix
 from servogen.plan.mathematics import Math, pair_angles
-from servogen.plan.module import EntryPoint, Kernel, Known, Module, Prepare, Result, StructField, Target
-from servogen.plan.noise import row_noise
+from servogen.plan.module import EntryPoint, Kernel, KnownMatrix, Module, Prepare, Result, StructField, Target
 from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
 from servogen.plan.stage import Staged, cut, stage
@@ -27,16 +26,24 @@ from servogen.scene_program import SceneProgram
 
 
 def plan(
-    formulation: Formulation, optimised: SceneProgram, target: Target, entry_points: Sequence[str] | None = None
+    formulation: Formulation,
+    optimised: SceneProgram,
+    target: Target,
+    noise: Sequence[float] | None = None,
+    entry_points: Sequence[str] | None = None,
 ) -> Module:
-    """Every decision about the C of one scene. entry_points: functions to leave in, with what they call; None: all."""
+    """Every decision about the C of one scene.
+
+    noise: per row of the solver's matrix, at or below which it counts as zero where the user gave no atol.
+    entry_points: functions to leave in, with what they call; None: all.
+    """
     scene = formulation.scene
     law = formulation.law if entry_points is None else restricted(formulation.law, entry_points)
     staged = stage(_needed(optimised, formulation, law))
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
-    solvers = _plan_solvers(formulation, optimised, law, target)
-    known = _plan_known(law, staged, cutter, solvers)
+    solvers = _plan_solvers(formulation, noise, law, target)
+    known = _plan_known_matrix(law, staged, cutter, solvers)
     law = check_legal(_at_hand(law, known.name) if known is not None else law)
     for step in law.steps():
         if isinstance(step, Evaluate | Project):
@@ -58,7 +65,7 @@ def plan(
         mass_tolerance=_mass_tolerance(scene, target.scalar),
         system=scene.system,
         solvers=solvers,
-        known=known,
+        known_matrix=known,
         limits=plan_bounds(law, solvers),
         skipped=what_is_skipped(formulation, optimised, law, known, solvers, inputs, staged),
     )
@@ -75,12 +82,14 @@ def _needed(optimised: SceneProgram, formulation: Formulation, law: Law) -> Prog
     return dataclasses.replace(optimised.program, outputs=outputs)
 
 
-def _plan_solvers(formulation: Formulation, optimised: SceneProgram, law: Law, target: Target) -> dict[str, SolverPlan]:
+def _plan_solvers(
+    formulation: Formulation, noise: Sequence[float] | None, law: Law, target: Target
+) -> dict[str, SolverPlan]:
     """The law's solvers; tolerances per row, and damping, are the user's for the scene's own system alone."""
     users = formulation.scene.solver
     other = Solver(method=users.method, rank=users.rank)
     planned = {
-        name: plan_scene_solver(formulation, optimised, target.scalar)
+        name: _plan_system(formulation.scene, noise, target.scalar)
         if name == SYSTEM
         else plan_solver(*shape, target.scalar, other)
         for name, shape in law.solvers
@@ -88,12 +97,14 @@ def _plan_solvers(formulation: Formulation, optimised: SceneProgram, law: Law, t
     return {name: dataclasses.replace(solver, root=_root(target)) for name, solver in planned.items()}
 
 
-def _plan_known(law: Law, staged: Staged, cutter: "_Cutter", solvers: Mapping[str, SolverPlan]) -> Known | None:
+def _plan_known_matrix(
+    law: Law, staged: Staged, cutter: "_Cutter", solvers: Mapping[str, SolverPlan]
+) -> KnownMatrix | None:
     """The matrix of the scene's system where no state changes it; a projection needs its solver all the same."""
     projected = any(isinstance(step, Project) for step in law.steps())
     if projected or not any(isinstance(step, Solve) and step.solver == SYSTEM for step in law.steps()):
         return None
-    return plan_known(staged, cutter.result(law.matrix_of(SYSTEM)), solvers[SYSTEM])
+    return plan_known_matrix(staged, cutter.result(law.matrix_of(SYSTEM)), solvers[SYSTEM])
 
 
 def _at_hand(law: Law, matrix: str) -> Law:
@@ -110,12 +121,11 @@ def _at_hand(law: Law, matrix: str) -> Law:
     return dataclasses.replace(law, routines=tuple(routines))
 
 
-def plan_scene_solver(formulation: Formulation, optimised: SceneProgram, scalar: Scalar) -> SolverPlan:
+def _plan_system(scene: Scene, noise: Sequence[float] | None, scalar: Scalar) -> SolverPlan:
     """The solver of the scene's system, without a root; rows' tolerances that the user left open are their noise."""
-    scene, solver = formulation.scene, formulation.scene.solver
-    if solver.atol is None:
-        noise = row_noise(scene, optimised.program, formulation.factorised, scalar)
-        solver = dataclasses.replace(solver, atol=noise)
+    solver = scene.solver
+    if solver.atol is None and noise is not None:
+        solver = dataclasses.replace(solver, atol=tuple(noise))
     return plan_solver(*scene.system_shape, scalar, solver)
 
 
@@ -166,14 +176,15 @@ def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: Scen
     cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
-    fields = scene.input_fields() if scene.system.tau_is_state else (*scene.input_fields(), tau)
+    fields = {f.name: f for f in scene.input_fields()}
+    fields.setdefault("tau", tau)
     return Module(
         scene=scene.name,
         target=target,
         scene_hash=scene_hash(scene, program),
         parameters=_parameters(scene),
         model=_model(scene, staged),
-        inputs=_used(fields, staged.tick, {"q", "u", "tau"}),
+        inputs=_used(tuple(fields.values()), staged.tick, {"q", "u", "tau"}),
         prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),

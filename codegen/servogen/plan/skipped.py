@@ -11,7 +11,7 @@ from servogen.derive.formulation import Formulation
 from servogen.ir.program import Program
 from servogen.law.law import Law
 from servogen.law.steps import SYSTEM
-from servogen.plan.module import Known, StructField
+from servogen.plan.module import KnownMatrix, StructField
 from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import Staged, cut
 from servogen.scene_program import SceneProgram
@@ -21,7 +21,7 @@ def what_is_skipped(
     formulation: Formulation,
     optimised: SceneProgram,
     law: Law,
-    known: Known | None,
+    known: KnownMatrix | None,
     solvers: Mapping[str, SolverPlan],
     inputs: Sequence[StructField],
     staged: Staged,
@@ -93,15 +93,15 @@ def _planned(formulation: Formulation, inputs: Sequence[StructField], staged: St
     return [*lines, f"{early} operations of parameters alone: done once, in prepare"] if early else lines
 
 
-def _of_the_solver(formulation: Formulation, known: Known | None, solver: SolverPlan) -> list[str]:
+def _of_the_solver(formulation: Formulation, known: KnownMatrix | None, solver: SolverPlan) -> list[str]:
     """What the solver does without, always or (the SVD) at each tick at which a certificate allows it."""
     matrix = formulation.scene.system.matrix
     lines = []
     if known is not None:
         where = "at generation" if known.when == "generation" else "in prepare"
         lines.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
-    elif solver.kind != "full":
-        lines.append(f"SVD: {matrix} is a {solver.kind}, the closed form is exact")
+    elif solver.form != "full":
+        lines.append(f"SVD: {matrix} is a {solver.form}, the closed form is exact")
     elif solver.method == "auto":
         lines.append("SVD, at each tick: not where a certificate proves that normal equations or QR give its answer")
     if formulation.weight is not None:

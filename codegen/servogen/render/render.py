@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from servogen.errors import SceneError
 from servogen.law.law import Law, Routine, of_the_state, shapes
 from servogen.law.steps import (
+    STATE,
     STEPS,
     SYSTEM,
     Apply,
@@ -24,15 +25,16 @@ from servogen.law.steps import (
     handed_out,
     row_of,
 )
-from servogen.plan.known import known_operations
-from servogen.plan.module import Kernel, Module, cost_of
-from servogen.plan.solver import BITS, PLAIN, solver_context, solver_operations
+from servogen.plan.module import Module, cost_of
+from servogen.plan.operations import known_operations, solver_operations
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
+from servogen.render.solver_context import PLAIN, solver_context
 from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
+from servogen.scalars import BITS
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
 
@@ -106,7 +108,6 @@ def _context(module: Module) -> dict[str, Any]:
             "cost": lambda program: cost_of(program.operations()),
             "prepare_cost": cost_of(module.prepare.program.operations()),
             "solver_cost": _solver_cost(module),
-            "guards_anywhere": bool(module.prepare.guards or any(k.guards for k in module.kernels)),
             "statements": partial(statements, scalar=scalar, own=own),
             "pieces": partial(pieces, scalar=scalar, own=own),
             "pieces_anywhere": any(k.chunks for k in module.kernels),
@@ -116,7 +117,7 @@ def _context(module: Module) -> dict[str, Any]:
             "initialiser": partial(_initialiser, scalar=scalar),
             "bound": module.limits,
             "info_type": f"{module.target.prefix}_info",
-            "in_prepare": module.known.kernel if module.known else None,
+            "in_prepare": module.known_matrix.kernel if module.known_matrix else None,
             "free": module.free,
             "named": _named(module),
             "solved": _solved_by(module, SYSTEM),
@@ -136,9 +137,6 @@ def _law_context(module: Module) -> dict[str, Any]:
         "prefix_of": lambda solver: prefix if solver == SYSTEM else f"{prefix}_{solver}",
         "first_of_the_state": next((r.name for r in law.routines if of_the_state(r)), ""),
         "printed_once": _printed_once(law),
-        "emit": _emitted(module),
-        "tells_failure": any(r.info and r.evaluated() for r in law.routines),
-        "checked": _checked(module),
     }
 
 
@@ -151,17 +149,13 @@ def _word(step: Step) -> str:
     return row_of(step).word
 
 
-_WITH_FUNCTIONS = {"react", "project"}
-"""Steps whose C is more than a call: what it calls is printed before the first routine that takes them."""
-
-
 def _printed_once(law: Law) -> dict[str, list[Step]]:
-    """By routine, the steps before which their functions are printed."""
-    told: set[str] = set()
+    """By routine, the steps that no routine before it takes: what their C calls is printed ahead of it."""
+    told: set[Step] = set()
     found: dict[str, list[Step]] = {}
     for routine in law.routines:
-        found[routine.name] = [s for s in routine.steps if _word(s) in _WITH_FUNCTIONS - told]
-        told |= {_word(s) for s in routine.steps}
+        found[routine.name] = [s for s in routine.steps if s not in told]
+        told |= set(routine.steps)
     return found
 
 
@@ -190,31 +184,6 @@ def _shim(module: Module) -> dict[str, Any]:
     return {"arguments": arguments, "answer": module.system.answer}
 
 
-def _emitted(module: Module) -> dict[str, bool]:
-    """Which functions of the system's solver the package calls; no other is printed."""
-    steps = [s for s in module.law.steps() if getattr(s, "solver", None) == SYSTEM]
-    at_hand = any(isinstance(step, Apply) for step in steps)
-    bent = any(isinstance(step, Project) and step.curvature for step in steps)
-    in_prepare = module.known is not None and module.known.when == "prepare"
-    return {
-        "solve": any(isinstance(step, Solve | Project) for step in steps),
-        "pinv": bent or in_prepare or any(isinstance(step, Invert) for step in steps),
-        "known": at_hand,
-    }
-
-
-def _checked(module: Module) -> list[Kernel]:
-    """The kernels whose results are looked at before a step of the law takes them, for it would not refuse them."""
-    kernels: list[Kernel] = []
-    for routine in module.law.routines:
-        for step in routine.steps:
-            if isinstance(step, Evaluate) and not _refused_behind(routine):
-                kernels.append(module.kernel(step.into))
-            elif isinstance(step, Project) and not step.curvature:
-                kernels.append(module.kernel(step.quantities))
-    return kernels
-
-
 def _title(module: Module) -> str:
     if module.solver is None:
         return f"functions of scene {module.scene}: {', '.join(e.name for e in module.entry_points)}"
@@ -239,7 +208,7 @@ def _initialiser(values: tuple[float, ...], scalar: str) -> str:
 def _solver_cost(module: Module) -> str:
     if module.solver is None:
         return "none"
-    if module.known is not None:
+    if module.known_matrix is not None:
         total = known_operations(module.solver, module.free is not None)["apply"]["total"]
         return f"{total} operations, no factorisation"
     costs = solver_operations(module.solver)
@@ -262,7 +231,7 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     }
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
-        manifest["solver"]["known"] = module.known.when if module.known else None
+        manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
         if module.limits is not None:
             manifest["solver"]["limits"] = module.limits.to_json()
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
@@ -318,8 +287,9 @@ def _solving(module: Module, routine: Routine) -> dict[str, Any]:
 
 
 def _skipped(module: Module, routine: Routine) -> list[str]:
-    affine = any(isinstance(step, Project) and not step.curvature for step in routine.steps)
-    return [*module.skipped.get(routine.name, ()), *(["iteration: phi is affine in tau"] if affine else [])]
+    affine = [step for step in routine.steps if isinstance(step, Project) and not step.curvature]
+    reasons = [f"iteration: {step.value} is affine in {step.of.removeprefix(STATE)}" for step in affine]
+    return [*module.skipped.get(routine.name, ()), *reasons]
 
 
 def _sum(a: dict[str, int], b: dict[str, int]) -> dict[str, int]:

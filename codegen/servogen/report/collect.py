@@ -11,7 +11,7 @@ from servogen.loading import load_scene, scene_summary
 from servogen.report.inline import inline_svg
 from servogen.report.paper import SCENES as PAPER
 from servogen.report.paper import TITLES, Sheet, draw_paper, narrow_figures, run_paper, sheets
-from servogen.report.scene_work import STAGES, Figure, Generated, Loop, LoopPrecision, Speed, Work
+from servogen.report.scene_work import STAGES, Figure, Generated, Loop, LoopPrecision, Robustness, Speed, Work
 from servogen.report.stages import Missing, Stage, run_stages
 from servogen.simulate.trajectory import Trajectory
 from servogen.verify.check import CheckReport
@@ -30,6 +30,7 @@ class SceneReport:
     folder: str
     generated: Generated | None
     loop: Loop | None
+    robustness: Robustness | None
     check: CheckReport | None
     board: CheckReport | None
     speed: Speed | None
@@ -147,6 +148,7 @@ def _scene_report(spec: str, name: str, found: Mapping[str, Any]) -> SceneReport
         folder=name,
         generated=of("generate", Generated),
         loop=of("loop", Loop),
+        robustness=of("robustness", Robustness),
         check=of("check", CheckReport),
         board=of("board", CheckReport),
         speed=of("speed", Speed),

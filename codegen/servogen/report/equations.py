@@ -15,14 +15,8 @@ from servogen.optimise.merge import merge
 from servogen.plan.module import Kernel, Module
 from servogen.report.formulas import Formulas, formulas
 from servogen.report.mathml import formula, math, mo, symbol, tag
-from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic, expression_of, theta_parts
+from servogen.scene.constraints import expression_of, theta_parts
 from servogen.scene.scene import Scene
-
-_KINDS: dict[type, str] = {
-    Nonholonomic: "nonholonomic",
-    Holonomic: "holonomic",
-    ControlsInvolved: "controls-involved",
-}
 
 
 @dataclass(frozen=True)
@@ -48,10 +42,9 @@ def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
     model = _formulas([(n, getattr(mech, n)) for n in names], symbols)
     parts = [("The mechanism", Formulas(model.operations, model.definitions, (first, *model.lines)))]
     for c in scene.constraints:
-        psi = "phi" if isinstance(c, ControlsInvolved) else "psi"
-        shown = _formulas([(psi, expression_of(c)), *theta_parts(c).items()], symbols)
-        lines = (_wish(c), *shown.lines)
-        parts.append((f"{c.name}, {_KINDS[type(c)]}", Formulas(shown.operations, shown.definitions, lines)))
+        shown = _formulas([(c.symbol, expression_of(c)), *theta_parts(c).items()], symbols)
+        lines = (math(formula(c.wish)), *shown.lines)
+        parts.append((f"{c.name}, {c.word}", Formulas(shown.operations, shown.definitions, lines)))
     if isinstance(scene.y, ca.SX):
         parts.append(("The free vector", _formulas([("y", scene.y)], symbols)))
     if scene.weighs_by_inverse_mass:
@@ -59,15 +52,6 @@ def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
     elif scene.weight is not None:
         parts.append(("The weight", _formulas([("W", scene.weight)], symbols)))
     return tuple(parts)
-
-
-def _wish(constraint: Any) -> str:
-    """What is asked of the constraint."""
-    if isinstance(constraint, Holonomic):
-        return math(formula("psi'' = Theta1 psi' + Theta2 psi"))
-    if isinstance(constraint, ControlsInvolved):
-        return math(formula("phi' = 0" if constraint.Theta.is_zero() else "phi' = Theta phi"))
-    return math(formula("psi' = Theta psi"))
 
 
 def _derived(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
@@ -134,7 +118,6 @@ def _names(scene: Scene) -> Any:
     fields = [*scene.input_fields(), *(scene.parameters or ())]
     users = {f.name: [s.name() for s in f.symbol.nonzeros()] for f in fields}
     users.setdefault("tau", [s.name() for s in scene.mechanism.tau.nonzeros()])
-
     letters = {name[:1] for names in users.values() for name in names}
     letter = next((x for x in "ckhgfbaed" if x not in letters), "computed_")
 

@@ -7,12 +7,17 @@ from typing import Any
 from servogen.bench.results import Bench, Measurement, Output
 from servogen.plan.module import mix_of
 from servogen.report.collect import Report, SceneReport
+from servogen.report.scene_work import Robustness
 from servogen.report.sparsity import COLOURS, WORDS
 from servogen.report.templates import pages
 from servogen.results import Status
+from servogen.simulate.runs import QUANTILES, Runs
 from servogen.verify.answers import BAR
 from servogen.verify.check import CheckReport, OutputCheck
 from servogen.version import VERSION
+
+HURTS = 0.3
+"""Rank correlations below this are not told on a card: with a hundred runs chance alone gives 0.2."""
 
 
 def write_page(report: Report, file: Path) -> None:
@@ -37,6 +42,8 @@ def render_page(report: Report) -> str:
             checks=_checks,
             histogram=_histogram,
             bench_rows=_bench_rows,
+            quantiles=_quantiles,
+            quantile_names=["largest" if q == 1 else f"{100 * q:g} %" for q in QUANTILES],
             solver_text=_solver_text,
             statuses=_statuses,
             legend=[(COLOURS[kind], words) for kind, words in WORDS.items()],
@@ -77,6 +84,8 @@ def _cards(scene: SceneReport) -> list[Card]:
     if scene.loop is not None:
         verdict = scene.loop.trajectory.verdict
         cards.append(Card("The closed loop", verdict.word, verdict.held, f"{verdict.reason} {verdict.advice}".rstrip()))
+    if scene.robustness is not None:
+        cards.append(_robustness(scene.robustness))
     if scene.check is not None:
         reports = [r for r in (scene.check, scene.board) if r is not None]
         good = all(r.passed for r in reports)
@@ -85,13 +94,30 @@ def _cards(scene: SceneReport) -> list[Card]:
     return cards
 
 
+def _robustness(found: Robustness) -> Card:
+    """How many of the runs were held, what became of the others, and what hurts."""
+    runs, total = found.runs, len(found.runs.words)
+    held = runs.verdicts.get("held", 0)
+    others = ", ".join(f"{word} ({n})" for word, n in runs.verdicts.items() if word != "held")
+    text = f"Of {total} runs with {found.varied}."
+    text += f" The others: {others}." if others else ""
+    hurts = [f"{name} ({rho:+.2f})" for name, rho in runs.correlation.items() if abs(rho) >= HURTS][:3]
+    text += f" What hurts most, by rank correlation with the error: {', '.join(hurts)}." if hurts else ""
+    return Card("Robustness", f"{held} of {total} held", runs.held, text)
+
+
+def _quantiles(runs: Runs) -> list[tuple[str, str, Any]]:
+    """Each quantity of the runs with its unit and its quantiles."""
+    return [(name, unit, values) for unit, (name, values) in zip(runs.units, runs.quantiles().items(), strict=True)]
+
+
 def _accuracy(check: CheckReport) -> str:
     values = sum(o.compared for o in check.outputs)
     worst = max((o.max_ulps for o in check.outputs), default=float("nan"))
     solve = max((s.max_error for s in check.solves), default=float("nan"))
     return (
         f"{values:,} values against the 50-digit truth, the largest error {_ulps(worst)} ulps; tau against exact "
-        f"solutions {_figure(solve)} of at most {BAR:g} u κ (‖τ‖ + ‖y‖)."
+        f"solutions {_figure(solve)} of at most {BAR:g} eps κ (‖τ‖ + ‖y‖)."
     )
 
 
@@ -128,8 +154,8 @@ def _bench_rows(bench: Bench) -> list[Measurement]:
 
 def _solver_text(manifest: dict[str, Any]) -> str:
     solver = manifest["solver"]
-    kind = {"row": "one row: closed form", "column": "one column: closed form", "full": "certified ladder"}
-    return f"{solver['m']}×{solver['l']}, {kind[solver['kind']]}"
+    form = {"row": "one row: closed form", "column": "one column: closed form", "full": "certified ladder"}
+    return f"{solver['m']}×{solver['l']}, {form[solver['form']]}"
 
 
 def _statuses(statuses: Any) -> str:

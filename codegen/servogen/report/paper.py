@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 
-from servogen.loading import load_simulation
 from servogen.results import FloatArray
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
+from servogen.simulate.wanted import load_simulation
 
 SCENES = (
     "double_pendulum_energy_free_y",
@@ -127,7 +127,8 @@ def _chatter(run: Trajectory) -> Sheet:
         "paper_figures_6_to_12",
         3,
         (K, *_axes(7, run, run.u, "ω", "rad/s"), *_axes(10, run, run.tau, "τ", "rad/s²")),
-        f"Figures 6 to 12, spacecraft with y = 0 (Section 6), the paper's numbers: {_chosen(run)}; {_start(run)}. K "
+        f"Figures 6 to 12, spacecraft with y = 0 (Section 6), the paper's numbers: {_chosen(run)}; "
+        f"{_start(run, with_tau=True)}. K "
         "decays as 0.124 exp(-t) while velocities and controls chatter with a frequency that grows without bound. "
         f"Drawn to {run.t[-1]:g} s; later a period is too short for the step. tau_3(0) = -0.3376 is printed rounded "
         "and projected onto phi = 0 first; the controls are torques over inertia, rad/s², not N m as printed.",
@@ -143,7 +144,8 @@ def _smooth(run: Trajectory) -> Sheet:
             *_axes(16, run, run.u, "ω", "rad/s"),
             *_axes(19, run, run.tau, "τ", "rad/s²"),
         ),
-        f"Figures 13 to 21, spacecraft with y = -tau, the paper's numbers: {_chosen(run)}; {_start(run)}. The same "
+        f"Figures 13 to 21, spacecraft with y = -tau, the paper's numbers: {_chosen(run)}; "
+        f"{_start(run, with_tau=True)}. The same "
         "decay of K, all curves smooth: the free vector y, the angular velocities and the controls, axis by axis.",
     )
 
@@ -153,10 +155,10 @@ def _chosen(run: Trajectory) -> str:
     return ", ".join(f"{name} = {' '.join(f'{x:g}' for x in v)}" for name, v in run.parameters.items())
 
 
-def _start(run: Trajectory) -> str:
-    """The first state of a run in words."""
-    values = {"q": run.q[0], "u": run.u[0]} | ({"tau": run.tau[0]} if run.constraint_name == "phi" else {})
-    return ", ".join(f"{name}(0) = ({', '.join(f'{x:.6g}' for x in v)})" for name, v in values.items())
+def _start(run: Trajectory, with_tau: bool = False) -> str:
+    """The first state of a run in words; tau belongs to it where the controller advances it."""
+    names = ("q", "u", "tau") if with_tau else ("q", "u")
+    return ", ".join(f"{name}(0) = ({', '.join(f'{x:.6g}' for x in getattr(run, name)[0])})" for name in names)
 
 
 def _columns(run: Trajectory, values: FloatArray, symbol: str) -> tuple[Curve, ...]:

@@ -18,7 +18,6 @@ from servogen.compiler import build, optimised_scene
 from servogen.derive.formulation import Quantity
 from servogen.derive.lower import lower_quantities
 from servogen.ir.program import Program
-from servogen.loading import load_simulation
 from servogen.optimise.passes import optimise
 from servogen.package import Package
 from servogen.report.drawing import Drawing, draw_motion
@@ -27,26 +26,32 @@ from servogen.report.inline import inline_svg
 from servogen.report.sparsity import kinds, picture
 from servogen.report.stages import Skipped, Stage
 from servogen.scalars import EPSILON
-from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
+from servogen.scene.system import SYSTEMS
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.drawing import motion_of
-from servogen.simulate.export import write_csv
+from servogen.simulate.export import write_csv, write_runs_csv
+from servogen.simulate.methods import MethodRun, NotSmooth, draw_methods, measure, methods_figure
 from servogen.simulate.plots import narrow_figures, write_plots
-from servogen.simulate.precision import NotSmooth, Precision, draw_precision, measure, precision_figure
+from servogen.simulate.robustness import narrow_robustness, write_robustness
+from servogen.simulate.runs import Runs
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory, with_unit
+from servogen.simulate.trials import scattered
+from servogen.simulate.wanted import load_simulation
 from servogen.verify.check import CheckReport, check
 
 BOARD = "cortex-m4"
 """The emulated board of the report."""
 
-STATES_OF_A_BOX = 200
-"""States from which the domain of a scene that draws its own is read off."""
+RUNS = 100
+"""Of the scene on machines that nobody knows exactly."""
 
-CAPTIONS = {
-    "psi": "Constraint error, and its prescribed decay",
-    "phi": "Constraint error, and its prescribed decay",
+_OF_THE_CONSTRAINT = "Constraint error, and its prescribed decay"
+
+CAPTIONS: dict[str, str] = {
+    **{system.constraint: _OF_THE_CONSTRAINT for system in SYSTEMS.values()},
     "controls": "Controls",
     "states": "Configuration and velocity",
     "outputs": "Outputs",
@@ -57,6 +62,7 @@ CAPTIONS = {
 STAGES = (
     Stage("generate", "generate", 600, needed=True),
     Stage("loop", "closed loop", 120),
+    Stage("robustness", "closed loop on machines that differ", 120),
     Stage("check", "cross-check on this machine", 300),
     Stage("board", f"cross-check on {BOARD}", 300),
     Stage("speed", "run time against error", 300),
@@ -104,6 +110,15 @@ class Loop:
     ending: tuple[tuple[str, str], ...]  # what the margins were at the end, and their extremes along the way
     figures: tuple[Figure, ...]
     drawing: Drawing | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """Many runs on machines that differ; varied: in what, in words."""
+
+    runs: Runs
+    varied: str
+    figures: tuple[Figure, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +205,20 @@ class SceneWork:
         unit = "m" if self._simulation.drawing is None else ""  # a robot's frames are in metres
         return draw_motion(motion, label, self._simulation.units.get("drawing", unit))
 
+    def robustness(self) -> Robustness:
+        """Runs with other plants, starts and noise; each run's outcome goes to runs.csv. Skipped where none begins."""
+        if not len(self._run.t):
+            raise Skipped("the start was refused")
+        varied, machine = scattered(self._loop, self._run)
+        runs, folder = self._loop.runs(RUNS, **machine), self._work.folder
+        write_runs_csv(runs, folder / "runs.csv")
+        figures = []
+        if write_robustness(runs, folder):
+            caption = "Error of each run, and what hurts most"
+            drawn = inline_svg(narrow_robustness(runs), f"{self._scene.name}: {caption}", f"{self._scene.name}-runs")
+            figures.append(Figure(drawn, caption))
+        return Robustness(runs, varied, tuple(figures))
+
     def check(self) -> CheckReport:
         """The generated C against the 50-digit truth."""
         return check([self._scene], states=self._work.states)
@@ -220,15 +249,19 @@ class SceneWork:
             points = measure(self._scene, self._simulation, duration, steps)
         except NotSmooth as why:
             raise Skipped(str(why)) from why
-        draw_precision(name, duration, points, self._work.folder / "precision")
-        drawn = inline_svg(precision_figure(duration, points), "run time against error", f"{name}-precision")
+        draw_methods(name, duration, points, self._work.folder / "precision")
+        drawn = inline_svg(methods_figure(duration, points), "run time against error", f"{name}-precision")
         return LoopPrecision(
             Figure(drawn, "Each mark a step size, its run time against its error"), _single(points, duration)
         )
 
     @cached_property
     def _run(self) -> Trajectory:
-        return ClosedLoop(self._scene, self._simulation).run()
+        return self._loop.run()
+
+    @cached_property
+    def _loop(self) -> ClosedLoop:
+        return ClosedLoop(self._scene, self._simulation)
 
 
 def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
@@ -238,7 +271,7 @@ def _symbols(scene: Scene, units: Mapping[str, str]) -> tuple[Symbol, ...]:
         return ", ".join(f"{x:.4g}" for x in (values[:1] if len(set(values)) == 1 else values))
 
     rows = [Symbol(f.name, "parameter", numbers(f.default), f.unit, f.text) for f in scene.parameters]
-    for name, (low, high) in domain_box(scene, draw_states(scene, STATES_OF_A_BOX)).items():
+    for name, (low, high) in draw_samples(scene).box.items():
         f = next(f for f in scene.input_fields() if f.name == name)
         kind = "state" if name in ("q", "u", "tau") else "time" if name == "t" else "input"
         unit = f.unit or units.get(name, "")
@@ -272,7 +305,7 @@ def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], .
     return (*rows, ("what would have ended it", watched or "nothing but the time"))
 
 
-def _single(points: Sequence[Precision], duration: float) -> str:
+def _single(points: Sequence[MethodRun], duration: float) -> str:
     """The best of all step sizes and methods, in either scalar."""
     best = {scalar: [p.error for p in points if p.scalar == scalar] for scalar in EPSILON}
     if not all(best.values()):

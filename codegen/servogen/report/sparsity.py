@@ -7,10 +7,10 @@ from typing import Literal
 from servogen.ir.binding import depends_on_parameters_alone, is_constant
 from servogen.ir.program import Program
 
-Kind = Literal["zero", "number", "parameters", "state"]
+Reach = Literal["zero", "number", "parameters", "state"]
 
-COLOURS: dict[Kind, str] = {"zero": "#ffffff", "number": "#cfdbe6", "parameters": "#8aa9c4", "state": "#2f5578"}
-WORDS: dict[Kind, str] = {
+COLOURS: dict[Reach, str] = {"zero": "#ffffff", "number": "#cfdbe6", "parameters": "#8aa9c4", "state": "#2f5578"}
+WORDS: dict[Reach, str] = {
     "zero": "identically zero",
     "number": "a number",
     "parameters": "of parameters alone",
@@ -19,12 +19,12 @@ WORDS: dict[Kind, str] = {
 _CELL = 18
 
 
-def kinds(program: Program, name: str) -> list[list[Kind]]:
+def kinds(program: Program, name: str) -> list[list[Reach]]:
     """What each entry of an output is."""
     output = program.output(name)
     early = depends_on_parameters_alone(program)
 
-    def kind(k: int) -> Kind:
+    def kind(k: int) -> Reach:
         if is_constant(program, k):
             return "zero" if program.instrs[k].const == 0 else "number"
         return "parameters" if early[k] else "state"
@@ -33,7 +33,7 @@ def kinds(program: Program, name: str) -> list[list[Kind]]:
     return [flat[k : k + output.columns] for k in range(0, len(flat), output.columns)]
 
 
-def picture(name: str, rows: Sequence[Sequence[Kind]]) -> str:
+def picture(name: str, rows: Sequence[Sequence[Reach]]) -> str:
     """An SVG element; each cell says what it is to whoever points at it."""
     width, height = _CELL * len(rows[0]) + 2, _CELL * len(rows) + 2
     cells = [

@@ -30,15 +30,15 @@ from servogen.verify.stress.bars import (
 from servogen.verify.stress.report import StressReport, StressRow
 
 CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("full rank: error of tau, in u κ (‖τ‖ + ‖y‖)", (TAU,)),
-    ("full rank: error of S⁺, in u κ ‖S⁺‖", (PINV,)),
-    ("full rank: residual, in u (‖S‖ ‖τ‖ + ‖z‖)", (RESIDUAL,)),
-    ("rows graded to 1e-14: error of tau, in u κ(D⁻¹S) ‖τ‖", (GRADED,)),
+    ("full rank: error of tau, in eps κ (‖τ‖ + ‖y‖)", (TAU,)),
+    ("full rank: error of S⁺, in eps κ ‖S⁺‖", (PINV,)),
+    ("full rank: residual, in eps (‖S‖ ‖τ‖ + ‖z‖)", (RESIDUAL,)),
+    ("rows graded to 1e-14: error of tau, in eps κ(D⁻¹S) ‖τ‖", (GRADED,)),
     ("powers of two, signs: results whose bits differ", (BITS,)),
     ("the SVD: the three ratios of ddrvbd", (SVD_BACK, SVD_LEFT, SVD_RIGHT)),
-    ("rank-deficient: errors of tau and S⁺, in u κᵣ", (TAU_R, PINV_R)),
-    ("least squares: error of tau, in u κ (‖τ‖ + ‖y‖ + κ ‖r‖ / ‖S‖)", (TAU_LS,)),
-    ("four Penrose identities, in u κ", (PENROSE,)),
+    ("rank-deficient: errors of tau and S⁺, in eps κᵣ", (TAU_R, PINV_R)),
+    ("least squares: error of tau, in eps κ (‖τ‖ + ‖y‖ + κ ‖r‖ / ‖S‖)", (TAU_LS,)),
+    ("four Penrose identities, in eps κ", (PENROSE,)),
     ("wrong ranks, wrong statuses", (RANK, STATUS)),
     ("false certificates", (FALSE_NORMAL, FALSE_QR)),
     ("steps that never gave a certificate", (IDLE,)),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import flint
@@ -92,6 +92,10 @@ class Nonholonomic:
     psi: Any
     Theta: Any
 
+    word: ClassVar = "nonholonomic"
+    symbol: ClassVar = "psi"
+    order: ClassVar = 1
+
     def __post_init__(self) -> None:
         what = _label(self.name)
         psi = _rows(self.psi, f"{what}: psi")
@@ -105,6 +109,14 @@ class Nonholonomic:
     def size(self) -> int:
         return int(self.psi.size1())
 
+    @property
+    def wish(self) -> str:
+        return "psi' = Theta psi"
+
+    @property
+    def decay(self) -> Any:
+        return self.Theta
+
 
 @dataclass(frozen=True, eq=False)
 class Holonomic:
@@ -117,6 +129,10 @@ class Holonomic:
     psi: Any
     Theta1: Any
     Theta2: Any
+
+    word: ClassVar = "holonomic"
+    symbol: ClassVar = "psi"
+    order: ClassVar = 2
 
     def __post_init__(self) -> None:
         what = _label(self.name)
@@ -136,6 +152,14 @@ class Holonomic:
     def size(self) -> int:
         return int(self.psi.size1())
 
+    @property
+    def wish(self) -> str:
+        return "psi'' = Theta1 psi' + Theta2 psi"
+
+    @property
+    def decay(self) -> Any:
+        return companion(self.Theta1, self.Theta2)
+
 
 def companion(Theta1: Any, Theta2: Any) -> Any:
     """[[0, I], [Theta2, Theta1]], whose eigenvalues are those of psi'' = Theta1 psi' + Theta2 psi."""
@@ -154,6 +178,10 @@ class ControlsInvolved:
     phi: Any
     Theta: Any = 0
 
+    word: ClassVar = "controls-involved"
+    symbol: ClassVar = "phi"
+    order: ClassVar = 1
+
     def __post_init__(self) -> None:
         what = _label(self.name)
         phi = _rows(self.phi, f"{what}: phi")
@@ -167,8 +195,19 @@ class ControlsInvolved:
     def size(self) -> int:
         return int(self.phi.size1())
 
+    @property
+    def wish(self) -> str:
+        return "phi' = 0" if self.Theta.is_zero() else "phi' = Theta phi"
+
+    @property
+    def decay(self) -> Any:
+        return self.Theta
+
 
 Constraint = Nonholonomic | Holonomic | ControlsInvolved
+"""What all of them tell besides their parts. word, symbol: what they and their expression are called. wish: what is
+asked of it, a formula. order, decay: the expression and its time derivatives below that order make a state x, for which
+x' = decay x is prescribed."""
 
 
 def expression_of(constraint: Constraint) -> Any:

@@ -7,7 +7,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import column, is_identity, matrix, rates, symbols
-from servogen.scene.known import Gauge, KnownRates
+from servogen.scene.known_rates import Gauge, KnownRates
 from servogen.scene.polylines import polylines
 
 
@@ -18,7 +18,7 @@ class Mechanism:
     q: n_q configuration parameters, u: n_u velocity parameters, tau: l controls, t: time, all SX symbols.
     Q: n_u x n_u of q, t. P: n_u of q, u, t. G: n_u x l of q, u, t (l may exceed n_u).
     C: n_q x n_u of q, t, identity if absent. D: n_q of q, t, zero if absent.
-    known: expressions of q whose rates need no differentiation (sg.urdf fills it); None if there are none.
+    known_rates: expressions of q whose rates need no differentiation (sg.urdf fills it); None if there are none.
     skeleton: polylines of q by which a report draws it (sg.urdf fills it), as sg.Simulation(drawing=...); () if none.
     Entries may be SX or numbers, and may hold parameters. SceneError for wrong shapes and kinds.
     """
@@ -32,7 +32,7 @@ class Mechanism:
     C: Any = None
     D: Any = None
     t: Any = None
-    known: KnownRates | None = None
+    known_rates: KnownRates | None = None
     skeleton: Any = ()
     _postures: list[tuple[Any, Any, Any]] = field(default_factory=list, init=False, repr=False)
 
@@ -79,7 +79,7 @@ class Mechanism:
     @property
     def gauge(self) -> Gauge | None:
         """A cheaper form of Q u' = P + G tau, where Q and P are those it is known for."""
-        gauge = self.known.gauge if self.known is not None else None
+        gauge = self.known_rates.gauge if self.known_rates is not None else None
         return gauge if gauge is not None and gauge.holds_for(self.Q, self.P) else None
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:

@@ -23,7 +23,7 @@ from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
-from servogen.scene.system import SYSTEMS, Kind, System
+from servogen.scene.system import SYSTEMS, Function, Kind, System
 
 State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
@@ -126,6 +126,11 @@ class Scene:
         """Rows and columns of the matrix that is solved with: S or A (m x l), G of ideal control forces (n x l)."""
         rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
         return rows, self.controls
+
+    def shape_of(self, function: Function) -> tuple[int, ...]:
+        """The shape of what a function of the scene's twins returns."""
+        sizes = {"m": self.rows, "l": self.controls, "n": int(self.mechanism.u.size1())}
+        return tuple(sizes[letter] for letter in function.shape)
 
     def input_fields(self) -> tuple[Field, ...]:
         """Every input the scene may have, in the order of the generated struct: q, u, t, tau, y, the references."""

@@ -27,6 +27,8 @@ class Solver:
         rounding noise where it vanishes, as cos(q) does to 6e-17 at q = pi/2; 0 for a row that has no zero in the
         domain, or whose noise vanishes with it. `sg.build_solver`, which knows no rows: 0.
     damping: eps_d; singular values of the raw S below it are damped, exactly none above; default none.
+    sigma_min: what `info.sigma_min` is where no SVD was needed. "bound": a proven lower bound of the smallest singular
+        value, which costs next to nothing; the header tells its factor. "exact": the value itself, by an SVD of its own.
     """
 
     method: Literal["auto", "svd"] = "auto"
@@ -34,12 +36,15 @@ class Solver:
     rtol: float | None = None
     atol: float | Sequence[float] | None = None
     damping: float | None = None
+    sigma_min: Literal["bound", "exact"] = "bound"
 
     def __post_init__(self) -> None:
         if self.method not in ("auto", "svd"):
             raise SceneError(f"Solver(method={self.method!r}): choose 'auto' or 'svd'")
         if self.rank not in ("scaled", "raw"):
             raise SceneError(f"Solver(rank={self.rank!r}): choose 'scaled' or 'raw'")
+        if self.sigma_min not in ("bound", "exact"):
+            raise SceneError(f"Solver(sigma_min={self.sigma_min!r}): choose 'bound' or 'exact'")
         if self.rtol is not None and not (_is_number(self.rtol) and 0 <= self.rtol < 1):
             raise SceneError(f"Solver(rtol={self.rtol!r}): give a number from 0 up to but not including 1")
         if self.damping is not None and not (_is_number(self.damping) and self.damping > 0):

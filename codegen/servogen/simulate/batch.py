@@ -126,10 +126,7 @@ class _Run(ct.Structure):
         *((n, ct.c_void_p) for n in ("claim", "state")),
         *((n, ct.c_double * SUM_CONTROLS) for n in ("error", "end", "tau")),
         *((n, ct.c_double) for n in ("share", "third", "last")),
-        *(
-            (n, ct.c_int64)
-            for n in ("rows", "share_row", "off", "left", "inconsistent", "limited", "left_entry", "rows_limited")
-        ),
+        *((n, ct.c_int64) for n in ("rows", "off", "left", "inconsistent", "limited", "rows_limited")),
         ("statuses", ct.c_int64 * SUM_STATUSES),
     ]
 
@@ -138,10 +135,7 @@ SUMMARY = np.dtype(
     [
         *((n, np.float64, (SUM_CONTROLS,)) for n in ("error", "end", "tau")),
         *((n, np.float64) for n in ("share", "third", "last")),
-        *(
-            (n, np.int64)
-            for n in ("rows", "share_row", "off", "left", "inconsistent", "limited", "left_entry", "rows_limited")
-        ),
+        *((n, np.int64) for n in ("rows", "off", "left", "inconsistent", "limited", "rows_limited")),
         ("statuses", np.int64, (SUM_STATUSES,)),
     ]
 )

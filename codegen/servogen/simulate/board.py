@@ -34,7 +34,7 @@ def run_on_board(
 
     Raises ToolMissing, HarnessBuildError, and BoardRunError where the run breaks off.
     """
-    # the layer above this one drives the emulator
+    # here, for only a run on a board needs it, and it takes its time to import
     from servogen.verify.harness import (
         build_images,
         complaint_of,

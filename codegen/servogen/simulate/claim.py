@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray
-from servogen.scene.constraints import Constraint, Holonomic, companion, expression_of, theta_parts
-from servogen.scene.domain import domain_box, draw_states
+from servogen.scene.constraints import Constraint, expression_of
+from servogen.scene.domain import draw_states
+from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
 from servogen.simulate.ideal import value_at
-from servogen.simulate.simulation import Simulation, known_symbols
+from servogen.simulate.simulation import Simulation, known_symbols, units_of_entries
 
 MARGIN = 0.25
 """How far beyond each end of a range of the scene's domain a state still counts as inside, in widths of the range.
@@ -34,7 +35,7 @@ SAMPLED = 1e-2
 omega, the fastest eigenvalue of Theta in 1/s, is the rate at which a prescribed error itself moves within one."""
 
 STATES_OF_A_CLAIM = 200
-"""States of the domain by which a callable's box and psi's size are read off."""
+"""States of the domain by which psi's size is read off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,22 +100,16 @@ def claim_of(
         tolerance=tolerance,
         relative=relative,
         names=(*_indexed("q", nq), *_indexed("u", nu)),
-        units=(*entry_units(simulation.units.get("q"), nq), *entry_units(simulation.units.get("u"), nu)),
+        units=(*units_of_entries(simulation.units.get("q"), nq), *units_of_entries(simulation.units.get("u"), nu)),
         rows=tuple(
             f"constraint {c.name!r}" if c.size == 1 else f"constraint {c.name!r} (row {k + 1})"
             for c in scene.constraints
             for k in range(c.size)
         ),
-        row_units=entry_units(simulation.units.get(scene.system.constraint), scene.rows),
-        tau_units=entry_units(simulation.units.get("tau"), scene.controls),
+        row_units=units_of_entries(simulation.units.get(scene.system.constraint), scene.rows),
+        tau_units=units_of_entries(simulation.units.get("tau"), scene.controls),
         sources=sources,
     )
-
-
-def entry_units(unit: str | None, size: int) -> tuple[str, ...]:
-    """The unit of each entry: one for all, or a list of as many; "" where the text does not tell whose it is."""
-    parts = [part.strip() for part in (unit or "").split(",")]
-    return tuple(parts if len(parts) == size else parts * size if len(parts) == 1 else [""] * size)
 
 
 def _indexed(name: str, size: int) -> tuple[str, ...]:
@@ -125,7 +120,7 @@ def _ranges(
     scene: Scene, simulation: Simulation, angle: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, dict[str, str]]:
     """Ends of each entry of q and u, and by "q" and "u" who says so."""
-    box = domain_box(scene, draw_states(scene, STATES_OF_A_CLAIM))
+    box = draw_samples(scene).box
     lows, highs, sources = [], [], {}
     for name in ("q", "u"):
         size = getattr(scene.mechanism, name).size1()
@@ -190,7 +185,5 @@ def _sizes_of_psi(scene: Scene, parameters: Mapping[str, FloatArray]) -> FloatAr
 
 def _fastest(scene: Scene, constraint: Constraint, parameters: Mapping[str, FloatArray]) -> float:
     """The largest magnitude of an eigenvalue of what Theta prescribes, 1/s."""
-    parts = theta_parts(constraint)
-    matrix = companion(**parts) if isinstance(constraint, Holonomic) else parts["Theta"]
     inputs = {f.name: np.zeros(f.size) for f in scene.input_fields()} | {"tau": np.zeros(scene.controls)}
-    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, matrix, inputs | dict(parameters))))))
+    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, constraint.decay, inputs | dict(parameters))))))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ from servogen.simulate.trajectory import Reason, Stop, Trajectory
 from servogen.twins.compiled import build_library
 
 MOST_STEPS = 5_000_000
+MOST_RUNS = 10_000_000  # half a kilobyte each
 _CHUNK = 4096
 _REASONS: dict[int, Reason] = {
     1: "finished",
@@ -181,6 +183,8 @@ class ClosedLoop:
             raise SceneError(f"runs go on this machine, not on {self.target}; replay one of them there")
         if not isinstance(count, int) or count < 1:
             raise SceneError(f"runs = {count!r}; give a whole number, at least 1")
+        if count > MOST_RUNS:
+            raise SceneError(f"runs = {count}; at most {MOST_RUNS:,} in one call, more by calls with other seeds")
         plan = self._plan(start, duration, step, references, parameters, hold, project, method, plant, machine)
         first = self.simulation.seed if seed is None else seed
         if not 0 <= first <= 2**32 - count:
@@ -248,8 +252,7 @@ class ClosedLoop:
         columns = {n: np.tile(v, (count, 1)) for n, v in {**given, "tau": plan.inputs["tau"]}.items()}
         columns |= {n: drawn.arrays[n].astype(self.scalar) for n in ("q", "u")} | {"t": np.zeros((count, 1))}
         columns |= {n: np.tile(v, (count, 1)) for n, v in self._moving(np.zeros(1)).items()}
-        edges = np.cumsum([len(v) for v in plan.plant.values()])[:-1]
-        columns |= dict(zip(plan.plant, np.split(drawn.arrays["plant"], edges, axis=1), strict=True))
+        columns |= plan.apart(drawn.arrays["plant"])
         symbols = known_symbols(self.scene)
         arguments = [ca.DM(columns[n].astype(float).T) for n, _ in symbols]
         parts = []
@@ -471,10 +474,14 @@ class _Plan:
     method: str
     project: bool
 
+    def apart(self, plant: FloatArray) -> dict[str, FloatArray]:
+        """Parameters that lie one after the other along the last axis, by name; there may be none."""
+        edges = np.cumsum([0, *(len(v) for v in self.plant.values())])
+        return {n: plant[..., a:b] for n, (a, b) in zip(self.plant, pairwise(edges), strict=True)}
+
     def drawn(self, draws: Draws, k: int) -> "_Plan":
         """The same with the plant and the start of the k-th draw."""
-        edges = np.cumsum([len(v) for v in self.plant.values()])[:-1]
-        plant = dict(zip(self.plant, np.split(draws.arrays["plant"][k], edges), strict=True)) if self.plant else {}
+        plant = self.apart(draws.arrays["plant"][k])
         return replace(self, plant=plant, inputs=self.inputs | {n: draws.arrays[n][k] for n in ("q", "u")})
 
 

@@ -10,14 +10,14 @@ from scipy.linalg import expm
 
 from servogen.derive.rates import rate
 from servogen.results import FloatArray
-from servogen.scene.constraints import Holonomic, companion, expression_of, theta_parts
+from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene
 from servogen.simulate.simulation import known_symbols
 
 
 @dataclass(frozen=True, eq=False)
 class Prescribed:
-    """One constraint's decay: state' = matrix state, all SX; the state is psi (phi) and, of a holonomic one, psi'."""
+    """One constraint's decay: state' = matrix state, all SX; the state is psi (phi) and, of one of order 2, psi'."""
 
     psi: Any
     psi_dot: Any | None
@@ -25,14 +25,12 @@ class Prescribed:
 
 
 def prescribed(scene: Scene) -> tuple[Prescribed, ...]:
-    """psi' = Theta psi; holonomic: psi'' = Theta1 psi' + Theta2 psi."""
+    """What is asked of each constraint."""
     found = []
     for c in scene.constraints:
-        psi, parts = expression_of(c), theta_parts(c)
-        if isinstance(c, Holonomic):
-            found.append(Prescribed(psi, rate(scene, psi, f"constraint {c.name!r}: psi'"), companion(**parts)))
-        else:
-            found.append(Prescribed(psi, None, parts["Theta"]))
+        psi = expression_of(c)
+        psi_dot = rate(scene, psi, f"constraint {c.name!r}: {c.symbol}'") if c.order == 2 else None
+        found.append(Prescribed(psi, psi_dot, c.decay))
     return tuple(found)
 
 

@@ -49,6 +49,11 @@ class Actuators:
                 object.__setattr__(self, name, _magnitudes(given, f"actuators: {name}", name != "lag"))
 
     @property
+    def ideal(self) -> bool:
+        """Whether the controls do what they are told, whatever was given to say so."""
+        return not self.move and not any(math.isfinite(x) for x in self.limit or ())
+
+    @property
     def move(self) -> bool:
         """Whether their torque changes between two ticks: there is a rate or a lag."""
         return any(math.isfinite(x) for x in self.rate or ()) or any(x > 0 for x in self.lag or ())
@@ -86,7 +91,9 @@ def _magnitudes(given: Any, what: str, may_be_infinite: bool) -> tuple[float, ..
         raise SceneError(f"{what} = {given!r}; give a number, or a list of one for each entry") from None
     good = array.size and np.all(array >= 0) and not np.any(np.isnan(array))
     if not good or not (may_be_infinite or np.all(np.isfinite(array))):
-        raise SceneError(f"{what} = {given!r}; give {'positive' if may_be_infinite else 'finite, positive'} numbers")
+        told = ", ".join(f"{x:g}" for x in array) or "no number"
+        wanted = "numbers that are not negative" if may_be_infinite else "finite numbers that are not negative"
+        raise SceneError(f"{what} = {told}; give {wanted}")
     return tuple(float(x) for x in array)
 
 
@@ -108,25 +115,26 @@ def machine_in_words(simulation: "Simulation") -> str:
     own = simulation.actuators or Actuators()
     told = [
         f"{words} {numbers(given)}{unit}"
-        for words, given, unit in (
-            ("|tau| at most", own.limit, ""),
-            ("|tau'| at most", own.rate, " per second"),
-            ("tau lags by", own.lag, " s"),
+        for words, given, unit, none in (
+            ("|tau| at most", own.limit, "", math.inf),
+            ("|tau'| at most", own.rate, " per second", math.inf),
+            ("tau lags by", own.lag, " s", 0.0),
         )
-        if given is not None
+        if any(x != none for x in given or ())
     ]
-    told += [f"noise of {n} {numbers(v)}" for n, v in simulation.noise.items()]
-    told += [f"{n} read in steps of {numbers(v)}" for n, v in simulation.quantise.items()]
+    told += [f"noise of {n} {numbers(v)}" for n, v in simulation.noise.items() if any(v)]
+    told += [f"{n} read in steps of {numbers(v)}" for n, v in simulation.quantise.items() if any(v)]
     told += [f"delay {simulation.delay:g} s"] if simulation.delay else []
     told += [f"disturbed in {', '.join(simulation.disturbance)}"] if simulation.disturbance else []
     told += ["another mechanism"] if isinstance(simulation.plant, Mechanism) else []
-    told += [f"seed {simulation.seed}"] if simulation.noise else []
+    told += [f"seed {simulation.seed}"] if any(any(v) for v in simulation.noise.values()) else []
     return "; ".join(told)
 
 
 def samples(simulation: "Simulation") -> bool:
     """Whether the machine is one on which a controller has to sample."""
-    return any((simulation.actuators, simulation.noise, simulation.quantise, simulation.delay))
+    sensors = any(any(v) for given in (simulation.noise, simulation.quantise) for v in given.values())
+    return sensors or simulation.delay > 0 or not (simulation.actuators or Actuators()).ideal
 
 
 def machine_arrays(scene: Scene, simulation: "Simulation", substep: float) -> dict[str, FloatArray]:
@@ -252,4 +260,4 @@ def _disturbed(scene: Scene, mech: Mechanism, disturbance: Mapping[str, Callable
         for symbol in ca.symvar(added[name]):
             if symbol.__hash__() != t.__hash__():
                 raise SceneError(f"{what} holds the symbol {symbol.name()!r}; make it of time alone, lambda t: ...")
-    return replace(mech, P=mech.P + added["P"] + ca.mtimes(mech.G, added["tau"]), t=t, known=None)
+    return replace(mech, P=mech.P + added["P"] + ca.mtimes(mech.G, added["tau"]), t=t, known_rates=None)

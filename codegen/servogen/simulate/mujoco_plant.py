@@ -263,7 +263,7 @@ def disagreement(scene: Scene, plant: MujocoPlant) -> dict[str, float]:
     """
     mech = scene.mechanism
     symbols = known_symbols(scene)
-    frames = {} if mech.known is None else mech.known.frames
+    frames = {} if mech.known_rates is None else mech.known_rates.frames
     bodies = {plant.model.body(k).name for k in range(plant.model.nbody)}
     shown = {n: at for n, at in frames.items() if n in bodies}
     parts = [ca.densify(mech.Q), ca.densify(mech.P), *(ca.densify(ca.horzcat(*at)) for at in shown.values())]

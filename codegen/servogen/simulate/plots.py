@@ -46,7 +46,7 @@ STYLE = {
     "svg.hashsalt": "servogen",  # the same bytes for the same figure
 }
 
-_NARROW = STYLE | {
+NARROW = STYLE | {
     "font.size": 9,
     "axes.labelsize": 9,
     "axes.titlesize": 9,
@@ -76,7 +76,7 @@ def write_plots(scene: Scene, simulation: Simulation, trajectory: Trajectory, ou
 
 def narrow_figures(scene: Scene, simulation: Simulation, trajectory: Trajectory) -> dict[str, Figure]:
     """The same by name, as wide as a telephone's screen and without a title: for the columns of a page."""
-    with matplotlib.rc_context(_NARROW):
+    with matplotlib.rc_context(NARROW):
         panels = _panels(scene, simulation, trajectory)
         return {name: _figure(trajectory, own, (4.0, 0.6 + 1.9 * len(own))) for name, own in panels.items()}
 
@@ -173,7 +173,7 @@ def _chatters(values: FloatArray) -> bool:
 def _constraint_panels(scene: Scene, trajectory: Trajectory, unit: str | None) -> list[Panel]:
     """One panel a row: the servo-constraint and its prescribed decay."""
     names = [f"{c.name} {k}" if c.size > 1 else c.name for c in scene.constraints for k in range(c.size)]
-    symbol = "ψ" if trajectory.constraint_name == "psi" else "φ"
+    symbol = {"psi": "ψ", "phi": "φ"}[trajectory.constraint_name]
 
     def row(k: int, name: str) -> Panel:
         def panel(axis: Any) -> None:

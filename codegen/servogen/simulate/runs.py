@@ -24,7 +24,7 @@ class Runs:
     error (N, m): the largest deviation of each row of psi (phi) from its prescribed decay; end (N, m): |psi| at the
     last row; share (N,): the largest deviation over its tolerance. tau (N, l): the largest magnitude of each control.
     statuses: how many rows of all runs said what. claim: what they were held to. seconds: that they took.
-    A run without a row, whose start was refused, has NaN.
+    A run that ended where controller or plant refused a state has NaN, for it came to nothing that compares.
     """
 
     scene: str
@@ -48,12 +48,17 @@ class Runs:
         return dict(Counter(self.words).most_common())
 
     @property
+    def refused(self) -> int:
+        """How many ended where controller or plant refused a state."""
+        return int(np.isnan(self.share).sum())
+
+    @property
     def held(self) -> bool:
         """Whether all of them were."""
         return set(self.words) == {"held"}
 
     def quantiles(self, shares: Sequence[float] = QUANTILES) -> dict[str, FloatArray]:
-        """name -> quantiles of the runs that have rows: each row's error and end, each control's largest magnitude."""
+        """name -> quantiles of the runs not refused: each row's error and end, each control's largest magnitude."""
         some = np.isfinite(self.share)
         named: list[tuple[str, FloatArray]] = [
             (f"{n}: off its decay", self.error[:, k]) for k, n in enumerate(self.claim.rows)
@@ -61,6 +66,11 @@ class Runs:
         named += [(f"{n}: at the end", self.end[:, k]) for k, n in enumerate(self.claim.rows)]
         named += [(f"largest |tau[{k}]|", self.tau[:, k]) for k in range(self.tau.shape[1])]
         return {n: np.quantile(v[some], shares) if some.any() else np.full(len(shares), np.nan) for n, v in named}
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the quantities of `quantiles`, in their order."""
+        return (*self.claim.row_units, *self.claim.row_units, *self.claim.tau_units)
 
     def worst(self, count: int = 5) -> list[int]:
         """Indices of the worst runs: those that were not held first, the largest share of the tolerance first."""
@@ -71,16 +81,18 @@ class Runs:
     @property
     def correlation(self) -> dict[str, float]:
         """name -> rank correlation (Spearman's) of what varied, by how far it was off its nominal value, with the share
-        of the tolerance; the largest first. Near 1: what hurts; near 0: what does not matter."""
-        some = np.isfinite(self.share)
-        if some.sum() < 3:
+        of the tolerance, in which a refused run is above all others; the largest first. Near 1: what hurts; near 0:
+        what does not matter.
+        """
+        if np.isfinite(self.share).sum() < 3:
             return {}
+        share = np.nan_to_num(self.share, nan=np.inf, posinf=np.inf)
         middle = (self.draws.max(axis=0) + self.draws.min(axis=0)) / 2
         found = {}
         for k, name in enumerate(self.names):
-            value = self.draws[some, k]
-            signed = float(spearmanr(value, self.share[some]).statistic)
-            away = float(spearmanr(np.abs(value - middle[k]), self.share[some]).statistic)
+            value = self.draws[:, k]
+            signed = float(spearmanr(value, share).statistic)
+            away = float(spearmanr(np.abs(value - middle[k]), share).statistic)
             found[name] = signed if abs(signed) >= abs(away) else away
         return dict(sorted(found.items(), key=lambda pair: -abs(np.nan_to_num(pair[1]))))
 
@@ -97,7 +109,7 @@ def runs_of(
 ) -> Runs:
     """From the summaries of simulate/batch.py."""
     m, l = sizes[3], sizes[2]
-    none = found["rows"] == 0
+    none = np.array([reasons[int(r)] not in ("finished", "event") for r in found["reason"]])
     counts = found["statuses"].sum(axis=0)
     return Runs(
         scene=scene,
@@ -122,5 +134,6 @@ def _word(run: Any, reasons: Mapping[int, str], events: Sequence[str]) -> str:
     event = events[int(run["detail"])] if reason == "event" else ""
     status = Status.OK if reason in ("event", "finished") else Status(int(run["detail"]))
     first = {n: None if run[n] < 0 else int(run[n]) for n in ("left", "inconsistent", "limited", "off")}
-    growing = bool(grows(float(run["third"]), float(run["last"])))
-    return word_of(Outline(int(run["rows"]), **first, growing=growing, end=word_of_end(reason, event, status)))
+    rows = int(run["rows"])
+    growing = grows(float(run["third"]), float(run["last"]), rows)
+    return word_of(Outline(rows, **first, growing=growing, end=word_of_end(reason, event, status)))

@@ -150,10 +150,10 @@ def _units_text(name: str, unit: object) -> str:
     return ", ".join(map(str, parts))
 
 
-def units_of_entries(unit: str | None, count: int) -> list[str | None]:
-    """The unit of each of `count` entries, where they are told one by one; else the same text for all."""
-    parts: list[str | None] = [part.strip() for part in (unit or "").split(",")]
-    return parts if len(parts) == count else [unit] * count
+def units_of_entries(unit: str | None, count: int) -> tuple[str, ...]:
+    """The unit of each of `count` entries: one text for all, or as many with commas between; "" where none is told."""
+    parts = tuple(part.strip() for part in (unit or "").split(","))
+    return parts * count if len(parts) == 1 else parts
 
 
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
@@ -184,11 +184,12 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
             raise SceneError(
                 f"simulation: units[{name!r}] belongs to nothing drawn; there are {', '.join(sorted(names))}"
             )
-    for name, symbol in known_symbols(scene):
+    sizes = {name: symbol.numel() for name, symbol in known_symbols(scene)} | {scene.system.constraint: scene.rows}
+    for name, size in sizes.items():
         told = simulation.units.get(name, "").count(",") + 1
-        if told not in (1, symbol.numel()):
+        if told not in (1, size):
             raise SceneError(
-                f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {symbol.numel()} "
+                f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {size} "
                 "entries; give one for all, or one for each"
             )
 
@@ -214,8 +215,8 @@ def _check_run_domain(scene: Scene, simulation: Simulation) -> None:
 
 def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
     """(name, SX symbol) of everything an output may use: parameters, inputs and tau."""
-    fields = [(f.name, f.symbol) for f in (*scene.parameters, *scene.input_fields())]
-    return fields if scene.system.tau_is_state else [*fields, ("tau", scene.mechanism.tau)]
+    symbols = {f.name: f.symbol for f in (*scene.parameters, *scene.input_fields())}
+    return list((symbols | {"tau": scene.mechanism.tau}).items())
 
 
 def run_takes(scene: Scene) -> dict[str, dict[str, int]]:

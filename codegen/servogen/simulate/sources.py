@@ -106,7 +106,7 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
     return controller.context() | {
         "version": VERSION,
         "plant": plant,
-        "servo": not scene.system.tau_is_state,
+        "calls": f"loop_{'advances' if controller.law.advanced() else 'answers'}.c.j2",
         "constraint": scene.system.constraint,
         "given": given,
         "given_count": sum(f["size"] for f in given),
@@ -116,7 +116,6 @@ def _context(scene: Scene, controller: Module, plant: Module) -> dict[str, Any]:
         "nu": nu,
         "l": scene.controls,
         "m": scene.rows,
-        "states": nq + nu + (scene.controls if scene.system.tau_is_state else 0),
     }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from servogen.errors import SceneError
+from servogen.remarks import say
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 from servogen.simulate.machine import sized_magnitudes
@@ -42,8 +43,14 @@ def check_spread(scene: Scene, spread: Mapping[str, Any]) -> dict[str, FloatArra
             raise SceneError(f"{what} = {given!r}; give a number, or {sizes[name]}") from None
         if not np.all(np.isfinite(half) & (half >= 0)):
             raise SceneError(f"{what} = {given!r}; give half-widths, finite and not negative")
+        if name not in ("q", "u") and np.any(half >= 1):
+            say([f"{what} = {_listed(half)}: draws change the sign of {name}; a share below 1 keeps it"])
         found[name] = half
     return found
+
+
+def _listed(values: FloatArray) -> str:
+    return ", ".join(f"{x:g}" for x in values)
 
 
 def draw(

@@ -109,16 +109,18 @@ class Trajectory:
 
     @property
     def psi(self) -> FloatArray:
-        """psi (N, m) of a servo scene."""
-        if self.constraint_name == "phi":
-            raise AttributeError(f"scene {self.scene!r} has no psi: it is a controls scene; see phi")
-        return self.constraint
+        """psi (N, m) of a scene whose constraints it is."""
+        return self._named("psi")
 
     @property
     def phi(self) -> FloatArray:
         """phi (N, m) of a controls-involved scene."""
-        if self.constraint_name == "psi":
-            raise AttributeError(f"scene {self.scene!r} has no phi: it is a {self.kind} scene; see psi")
+        return self._named("phi")
+
+    def _named(self, name: str) -> FloatArray:
+        if name != self.constraint_name:
+            other = self.constraint_name
+            raise AttributeError(f"scene {self.scene!r} has no {name}: it is a {self.kind} scene; see {other}")
         return self.constraint
 
 

@@ -1,4 +1,4 @@
-"""The same run on machines that are not the model: heavier, noisy, late, weak."""
+"""The same run on machines that are not the model: heavier, noisy, late, weak, or known only roughly."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -37,15 +37,40 @@ def trials(loop: ClosedLoop) -> tuple[Trial, ...]:
     return tuple(found)
 
 
+def scattered(loop: ClosedLoop, first: Trajectory) -> tuple[str, dict[str, Any]]:
+    """A machine that nobody knows exactly, in words and as options of ClosedLoop.runs.
+
+    Where the simulation says what varies, that on its own machine. Else a tick a millisecond, noisy sensors as in
+    `trials`, every parameter in kg (kg m^2) within a tenth of its value, q and u at the start within a hundredth of the
+    range that is claimed for them.
+    """
+    if loop.simulation.spread:
+        return "what the simulation's spread draws, on its machine", {}
+    nq, width = first.q.shape[1], _widths(first)
+    masses = {f.name: 0.1 for f in loop.scene.parameters if "kg" in f.unit}
+    spread = masses | {"q": 0.01 * width[:nq], "u": 0.01 * width[nq:]}
+    told = "starts within 1 % of the range claimed, noisy sensors, ticks of 1 ms"
+    told = f"masses within 10 %, {told}" if masses else told
+    return told, {"spread": spread, "noise": _noise(first), "step": TICK, "hold": TICK}
+
+
+def _widths(first: Trajectory) -> Any:
+    """Of the ranges that are claimed for q and u; a turn where none is."""
+    width = first.claim.high - first.claim.low
+    return np.where(np.isfinite(width), width, 2 * np.pi)
+
+
+def _noise(first: Trajectory) -> dict[str, Any]:
+    nq, width = first.q.shape[1], _widths(first)
+    return {"q": 1e-4 * width[:nq], "u": 1e-3 * width[nq:]}
+
+
 def _machines(scene: Scene, first: Trajectory) -> dict[str, dict[str, Any]]:
     masses = {f.name: 1.2 * np.asarray(f.default) for f in scene.parameters if "kg" in f.unit}
-    width = first.claim.high - first.claim.low
-    width = np.where(np.isfinite(width), width, 2 * np.pi)
-    nq = first.q.shape[1]
     machines: dict[str, dict[str, Any]] = {"a tick of 1 ms": {}}
     if masses:
         machines["masses 20 % larger"] = {"plant": masses}
-    machines["noisy sensors"] = {"noise": {"q": 1e-4 * width[:nq], "u": 1e-3 * width[nq:]}}
+    machines["noisy sensors"] = {"noise": _noise(first)}
     machines["2 ms late"] = {"delay": 2 * TICK}
     machines["0.8 of the torque"] = {"actuators": Actuators(limit=0.8 * np.max(np.abs(first.tau), axis=0))}
     return machines

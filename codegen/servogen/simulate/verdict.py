@@ -1,13 +1,12 @@
 """What a run came to: one word, one sentence of what happened, when and why, and what to try."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servogen.results import STATUS_MEANING, Status
+from servogen.results import STATUS_MEANING, FloatArray, Status
 
 if TYPE_CHECKING:
     from servogen.simulate.trajectory import Trajectory
@@ -58,15 +57,24 @@ class Outline:
     end: str | None
 
 
-def word_of(outline: Outline) -> str:
-    """What happened first."""
+def happened(outline: Outline) -> list[tuple[int, str]]:
+    """(row, word) of all that keeps a run from being held and tells why, in its order.
+
+    Actuators count only where psi has left its decay since.
+    """
     o = outline
     weak = o.limited if o.limited is not None and o.off is not None and o.limited <= o.off else None
-    named = ((o.left, "left the domain"), (o.inconsistent, "inconsistent"), (weak, "limited"), (_last(o), o.end or ""))
-    happened = [(row, word) for row, word in named if row is not None]
-    if happened:
-        return min(happened, key=lambda pair: pair[0])[1]
-    return "not held" if o.off is not None or o.growing else "held"
+    last = None if o.end is None else o.rows - 1
+    named = ((o.left, "left the domain"), (o.inconsistent, "inconsistent"), (weak, "limited"), (last, o.end or ""))
+    return sorted(((row, word) for row, word in named if row is not None), key=lambda pair: pair[0])
+
+
+def word_of(outline: Outline) -> str:
+    """What happened first."""
+    found = happened(outline)
+    if found:
+        return found[0][1]
+    return "not held" if outline.off is not None or outline.growing else "held"
 
 
 def word_of_end(reason: str, event: str, status: Status) -> str | None:
@@ -78,22 +86,19 @@ def word_of_end(reason: str, event: str, status: Status) -> str | None:
     return f"refused: {status.name}" if reason == "controller" else f"stopped: {reason} {status.name}"
 
 
-def grows(third: float, last: float) -> bool:
-    """Whether a deviation, as a share of its tolerance, is on its way out: its largest in two quarters of a run."""
-    return last > max(GROWTH * third, 0.01)
+def grows(third: float, last: float, rows: int) -> bool:
+    """Whether a deviation, as a share of its tolerance, is on its way out: its largest in two quarters of a run.
 
-
-def _last(outline: Outline) -> int | None:
-    return None if outline.end is None else outline.rows - 1
+    rows: of the run; fewer than eight say nothing.
+    """
+    return rows >= 8 and last > max(GROWTH * third, 0.01)
 
 
 @dataclass(frozen=True)
-class _Finding:
-    """Something that keeps a run from being held: since when, the word, what happened, what to try."""
+class _Told:
+    """Something that keeps a run from being held: what happened, and what to try."""
 
-    t: float
-    word: str
-    told: str
+    what: str
     advice: str
 
 
@@ -101,33 +106,48 @@ def judge(run: "Trajectory") -> Verdict:
     """The verdict of a run, from its rows and its claim."""
     if len(run.t) == 0:
         return _refused_at_the_start(run)
-    findings = sorted(_findings(run), key=lambda f: f.t)
     off = _off(run)
-    if findings:
-        first = findings[0]
+    outline = _outline(run, off)
+    word, found = word_of(outline), happened(outline)
+    if found:
+        told = [(run.t[row], _TELLING.get(name, _ended)(run, row, off)) for row, name in found]
+        (since, first), *rest = told
+        later = "".join(f"; then, at t = {t:.4g} s, {then.what}" for t, then in rest)
         advice = f"{_another_plant(run)}{first.advice}"
-        later = "".join(f"; then, at t = {f.t:.4g} s, {f.told}" for f in findings[1:])
-        return Verdict(first.word, f"At t = {first.t:.4g} s {first.told}{later}; {off.clause}.", advice)
-    if off.since is not None or off.growing:
-        return Verdict("not held", f"{_capital(off.clause)}.", f"{_another_plant(run)}{_advice_where_off(run)}")
-    return Verdict("held", f"{_capital(off.clause)}; for {run.t[-1]:.4g} s q and u stayed within {_sources(run)}.", "")
+        return Verdict(word, f"At t = {since:.4g} s {first.what}{later}; {off.clause}.", advice)
+    if word == "held":
+        stayed = f"for {run.t[-1]:.4g} s q and u stayed within {_sources(run)}"
+        return Verdict(word, f"{_capital(off.clause)}; {stayed}.", "")
+    return Verdict(word, f"{_capital(off.clause)}.", f"{_another_plant(run)}{_advice_where_off(run)}")
 
 
-def _findings(run: "Trajectory") -> Iterator[_Finding]:
-    yield from _left(run)
-    yield from _inconsistent(run)
-    yield from _limited(run)
-    yield from _ended(run)
+def _outline(run: "Trajectory", off: "_Off") -> Outline:
+    """The bare facts of the rows."""
+
+    def first(rows: Any) -> int | None:
+        return int(np.argmax(rows)) if np.any(rows) else None
+
+    return Outline(
+        rows=len(run.t),
+        left=first(_outside(run)[1].any(axis=1)),
+        inconsistent=first(run.status == Status.RANK_DEFICIENT_INCONSISTENT),
+        limited=first(run.limited),
+        off=off.row,
+        growing=off.growing,
+        end=word_of_end(run.stop.reason, run.stop.event, run.stop.status),
+    )
 
 
-def _left(run: "Trajectory") -> Iterator[_Finding]:
+def _outside(run: "Trajectory") -> tuple[FloatArray, Any]:
+    """The state with its angles at the nearest turn, and which entries are outside their ranges."""
     claim = run.claim
     state = claim.folded(np.hstack([run.q, run.u]).astype(float))
-    outside = (state < claim.low) | (state > claim.high)
-    rows = np.flatnonzero(outside.any(axis=1))
-    if not len(rows):
-        return
-    first = int(rows[0])
+    return state, (state < claim.low) | (state > claim.high)
+
+
+def _left(run: "Trajectory", first: int, off: "_Off") -> _Told:
+    claim = run.claim
+    state, outside = _outside(run)
     k = int(np.flatnonzero(outside[first])[0])
     unit = claim.units[k]
     name, source = claim.names[k], claim.sources[claim.names[k][0]]
@@ -140,65 +160,52 @@ def _left(run: "Trajectory") -> Iterator[_Finding]:
     if first == 0:
         told = told.replace(" left the range", " was already outside the range", 1)
     meant = 'If the run is meant to go there, say so: sg.Simulation(domain={"q": (lo, hi), "u": (lo, hi)})'
-    off = _off(run).since
-    if off is None or off > run.t[first]:
+    if off.row is None or off.row > first:
         advice = (
             f"{meant}. If not: the constraints were held until then, so this is motion that they leave free; "
             "constrain it too, or damp it with y or a weight where there are more controls than constraints."
         )
     else:
         advice = f"{meant}. If not: start nearer, or ask for slower errors (Theta) and slower references."
-    yield _Finding(float(run.t[first]), "left the domain", told, advice)
+    return _Told(told, advice)
 
 
-def _inconsistent(run: "Trajectory") -> Iterator[_Finding]:
-    rows = np.flatnonzero(run.status == Status.RANK_DEFICIENT_INCONSISTENT)
-    if len(rows):
-        first = int(rows[0])
-        told = (
-            f"the constraints could not all be met (rank {run.rank[first]} of {run.constraint.shape[1]}); so at "
-            f"{len(rows):,} of {len(run.t):,} rows"
-        )
-        advice = (
-            "The controls do not reach all constraints there: drop one, keep away from the singularity "
-            "(sg.Simulation(sigma_min=...) stops before it), or allow a compromise near it (sg.Solver(damping=...))."
-        )
-        yield _Finding(float(run.t[first]), "inconsistent", told, advice)
+def _inconsistent(run: "Trajectory", first: int, off: "_Off") -> _Told:
+    count = np.count_nonzero(run.status == Status.RANK_DEFICIENT_INCONSISTENT)
+    return _Told(
+        f"the constraints could not all be met (rank {run.rank[first]} of {run.constraint.shape[1]}); so at "
+        f"{count:,} of {len(run.t):,} rows",
+        "The controls do not reach all constraints there: drop one, keep away from the singularity "
+        "(sg.Simulation(sigma_min=...) stops before it), or allow a compromise near it (sg.Solver(damping=...)).",
+    )
 
 
-def _limited(run: "Trajectory") -> Iterator[_Finding]:
-    """Actuators that held a command back, where psi has left its decay since."""
-    rows = np.flatnonzero(run.limited)
-    since = _off(run).since
-    if not len(rows) or since is None or since < run.t[rows[0]]:
-        return
+def _limited(run: "Trajectory", first: int, off: "_Off") -> _Told:
     masks = int(np.bitwise_or.reduce(run.limited))
     names = ", ".join(f"tau[{k}]" for k in range(run.tau.shape[1]) if masks >> k & 1)
     largest = int(np.argmax(np.max(np.abs(run.tau), axis=0)))
+    count = np.count_nonzero(run.limited)
     told = (
-        f"actuators held {names} back at a limit or a rate; so at {len(rows):,} of {len(run.t):,} rows (largest "
+        f"actuators held {names} back at a limit or a rate; so at {count:,} of {len(run.t):,} rows (largest "
         f"control {_number(np.max(np.abs(run.tau)), run.claim.tau_units[largest])})"
     )
     advice = "Ask for less: slower errors (Theta), slower references, a nearer start; or give the actuators more."
-    yield _Finding(float(run.t[rows[0]]), "limited", told, advice)
+    return _Told(told, advice)
 
 
-def _ended(run: "Trajectory") -> Iterator[_Finding]:
+def _ended(run: "Trajectory", last: int, off: "_Off") -> _Told:
     stop = run.stop
-    word = word_of_end(stop.reason, stop.event, stop.status) or ""
     if stop.reason == "event":
-        yield _Finding(
-            stop.t,
-            word,
+        return _Told(
             f"the run's own stop {stop.event!r} ended it",
             f"If that is its natural end, run it for less than {stop.t:.4g} s; if not, see what leads there.",
         )
-    elif stop.reason == "controller":
-        told = f"the controller refused: {STATUS_MEANING[stop.status]}"
-        yield _Finding(stop.t, word, told, _advice_of(stop.status))
-    elif stop.reason != "finished":
-        told = f"the {stop.reason} could not be computed: {STATUS_MEANING[stop.status]}"
-        yield _Finding(stop.t, word, told, _advice_of(stop.status))
+    refused = "refused" if stop.reason == "controller" else "could not be computed"
+    return _Told(f"the {stop.reason} {refused}: {STATUS_MEANING[stop.status]}", _advice_of(stop.status))
+
+
+_TELLING = {"left the domain": _left, "inconsistent": _inconsistent, "limited": _limited}
+"""By its word, what happened at a row; what ended a run has words of its own."""
 
 
 def _refused_at_the_start(run: "Trajectory") -> Verdict:
@@ -210,9 +217,9 @@ def _refused_at_the_start(run: "Trajectory") -> Verdict:
 
 @dataclass(frozen=True)
 class _Off:
-    """psi off its decay: since when beyond its tolerance, or None; whether on its way out at the end; in words."""
+    """psi off its decay: the first row beyond its tolerance, or None; whether on its way out at the end; in words."""
 
-    since: float | None
+    row: int | None
     growing: bool
     clause: str
 
@@ -227,9 +234,9 @@ def _off(run: "Trajectory") -> _Off:
     beyond = np.flatnonzero(largest > 1)
     quarter = len(run.t) // 4
     growing = False
-    if quarter > 1 and not len(beyond):
+    if quarter and not len(beyond):
         before, last = largest[-2 * quarter : -quarter].max(), largest[-quarter:].max()
-        growing = grows(float(before), float(last))
+        growing = grows(float(before), float(last), len(run.t))
     unit = claim.row_units[k]
     share_told = "" if math.isnan(claim.relative[k]) else f", {claim.relative[k]:.3g} of its size over the domain"
     tolerance = f"tolerance {_number(claim.tolerance[k], unit)}{share_told}"
@@ -237,7 +244,7 @@ def _off(run: "Trajectory") -> _Off:
     what = f"{claim.rows[k]} was off its prescribed decay by at most {worst}"
     if len(beyond):
         since = float(run.t[beyond[0]])
-        return _Off(since, False, f"{what}, and beyond its tolerance since t = {since:.4g} s ({tolerance})")
+        return _Off(int(beyond[0]), False, f"{what}, and beyond its tolerance since t = {since:.4g} s ({tolerance})")
     if growing:
         return _Off(None, True, f"{what}, and that deviation is growing ({tolerance})")
     return _Off(None, False, f"{what} ({tolerance})")

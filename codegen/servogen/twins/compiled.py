@@ -1,23 +1,22 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
+import struct
 import tempfile
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from servogen.law.law import shapes
 from servogen.plan.module import Module, Result, StructField
-from servogen.results import Control, FloatArray, Info, Path, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.system import Function
 from servogen.tools import c_compiler, compile_c
+from servogen.twins.batch import Call, States, run
 from servogen.twins.interface import Twin, refusal
-
-if TYPE_CHECKING:
-    from servogen.package import Package
-
 
 CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 
@@ -41,6 +40,19 @@ void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 """
 
 
+class Built(Protocol):
+    """A folder of generated C and what it was printed from, as a Package is; scene: None for a solver alone."""
+
+    @property
+    def path(self) -> FilePath: ...
+    @property
+    def module(self) -> Module: ...
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def prefix(self) -> str: ...
+
+
 def stack_source(module: Module) -> str:
     """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
     real, shape = module.target.real, _shape(module)
@@ -52,7 +64,7 @@ def stack_source(module: Module) -> str:
 
 
 def load_package(
-    package: "Package", compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
+    package: Built, compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
 ) -> "CompiledTwin | CompiledSolver":
     """Compile and load. Raises ToolMissing without a C compiler, CompilerUnusable or CompilerRefused where it fails."""
     module = package.module
@@ -62,14 +74,14 @@ def load_package(
     return CompiledTwin(package.scene, module, library)
 
 
-def compile_library(package: "Package", compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
+def compile_library(package: Built, compiler: str | None, flags: tuple[str, ...], extra: str = "") -> ct.CDLL:
     """The package's C, and `extra` C beside it, as a shared library in this process."""
     with tempfile.TemporaryDirectory(prefix="servogen-load-") as folder:
         return ct.CDLL(str(build_library(package, FilePath(folder), compiler, flags, extra)))
 
 
 def build_library(
-    package: "Package", folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
+    package: Built, folder: FilePath, compiler: str | None, flags: tuple[str, ...], extra: str = ""
 ) -> FilePath:
     """The shared library as a file in `folder`. Raises ToolMissing and CompilerRefused as load_package does."""
     command = c_compiler(compiler)
@@ -105,7 +117,7 @@ def _struct(name: str, fields: tuple[StructField, ...], scalar: Scalar) -> Any:
 
 def _model_struct(module: Module) -> Any:
     """<prefix>_model: its fields, and the matrix known in prepare with its pseudo-inverse and info."""
-    if module.known is None or module.known.when == "generation":
+    if module.known_matrix is None or module.known_matrix.when == "generation":
         return _struct("model", module.model, module.target.scalar)
     assert module.solver is not None
     size = module.solver.m * module.solver.l
@@ -114,13 +126,25 @@ def _model_struct(module: Module) -> Any:
     return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module))]})
 
 
+def _members(module: Module) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Of <prefix>_info: integers, numbers, and the integers of limits behind them."""
+    if module.limits is None:
+        return INFO_INTEGERS, INFO_REALS, ()
+    return INFO_INTEGERS, (*INFO_REALS, "scale"), ("active",)
+
+
 def _info_struct(module: Module) -> Any:
-    """<prefix>_info, member by member."""
+    integers, numbers, behind = _members(module)
     real = c_real(module.target.scalar)
-    members = [(n, ct.c_int) for n in ("status", "path", "rank", "sweeps")]
-    members += [(n, real) for n in ("sigma_min", "residual")]
-    members += [("scale", real), ("active", ct.c_int)] if module.limits is not None else []
+    members = [*((n, ct.c_int) for n in integers), *((n, real) for n in numbers), *((n, ct.c_int) for n in behind)]
     return type("info", (ct.Structure,), {"_fields_": members})
+
+
+def _info_dtype(module: Module) -> np.dtype[Any]:
+    """An array of infos, as C lays it out."""
+    integers, numbers, behind = _members(module)
+    real = np.dtype(module.target.scalar)
+    return np.dtype([*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True)
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -132,9 +156,11 @@ def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatA
     return struct
 
 
+_STATUS, _PATH = {int(s): s for s in Status}, {int(p): p for p in Path}
+
+
 def _read_info(info: Any) -> Info:
-    numbers = [getattr(info, name) for name, _ in info._fields_[2:]]
-    return Info(Status(info.status), Path(info.path), *numbers)
+    return Info(_STATUS[info.status], _PATH[info.path], info.rank, info.sweeps, info.sigma_min, info.residual)
 
 
 class CompiledTwin(Twin):
@@ -145,36 +171,74 @@ class CompiledTwin(Twin):
         self._library = library
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
-        self._input_type = _struct("input", module.inputs, scalar)
         self._info_type = _info_struct(module)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
+        self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
+        self._value_type = c_real(scalar) * scene.controls
+        self._found: dict[str, Any] = {}
         super().__init__(scene, scalar)
 
     def _function(self, entry: str) -> Any:
+        """A function of the library, kept once found: looking takes longer than most of them."""
+        if entry in self._found:
+            return self._found[entry]
         there = ("prepare", *(e.name for e in self._module.entry_points), *(r.name for r in self._module.law.routines))
         if entry not in there:
             raise AttributeError(
                 f"this package was built without {entry}; ask for it in entry_points (it has {', '.join(there)})"
             )
-        return getattr(self._library, f"{self._module.target.prefix}_{entry}")
+        return self._found.setdefault(entry, getattr(self._library, f"{self._module.target.prefix}_{entry}"))
 
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         params = _fill(self._params_type(), self._module.parameters, parameters)
         return Status(self._function("prepare")(ct.byref(params), ct.byref(self._model)))
 
-    def _input(self, inputs: dict[str, FloatArray]) -> Any:
-        return _fill(self._input_type(), self._module.inputs, inputs)
+    def _read(self, given: dict[str, Any], function: str) -> bytes:
+        """<prefix>_input as C lays it out; numbers, lists and vectors of the right length without a detour."""
+        return self._at_once(given) or self._input(self.read_inputs(given, function))
+
+    def _at_once(self, given: dict[str, Any]) -> bytes | None:
+        """None where something is missing, unknown, of another shape, or beyond the scalar: for whom to tell."""
+        numbers: list[float] = []
+        used = 0
+        for f in self._module.inputs:
+            value: Any = given.get(f.name, None if f.name in ("q", "u") else f.default)
+            used += f.name in given
+            kind = type(value)
+            if kind is float and f.size == 1:
+                numbers.append(value)
+            elif kind is np.ndarray and value.shape == (f.size,):
+                numbers += value.tolist()
+            elif kind in (list, tuple) and len(value) == f.size:
+                numbers += value
+            else:
+                return None
+        if used != len(given):
+            return None
+        try:
+            return self._layout.pack(*numbers)
+        except (struct.error, OverflowError, TypeError):
+            return None
+
+    def _input(self, inputs: dict[str, FloatArray]) -> bytes:
+        """<prefix>_input as C lays it out: one type of member, so no padding."""
+        with np.errstate(over="ignore"):  # beyond float32: an infinity, which the code refuses
+            arrays = [inputs[f.name].astype(self.dtype) for f in self._module.inputs]
+        return b"".join(a.tobytes() for a in arrays)
 
     def evaluate(self, entry: str, inputs: dict[str, FloatArray]) -> tuple[Status, tuple[FloatArray, ...]]:
         """Call an entry point by its C name: its status and outputs, NaN where untouched."""
+        return self._outputs(entry, self._input(inputs))
+
+    def _outputs(self, entry: str, packed: bytes) -> tuple[Status, tuple[FloatArray, ...]]:
         function, results = self._function(entry), self._results(entry)
         outputs = tuple(np.full(r.size, np.nan, self.dtype) for r in results)
         pointers = [ct.c_void_p(o.ctypes.data) for o in outputs]
-        status = Status(function(ct.byref(self._model), ct.byref(self._input(inputs)), *pointers))
+        status = Status(function(ct.byref(self._model), packed, *pointers))
+        matrices = {f.name for f in self.scene.system.functions if len(f.shape) == 2}
         shaped = (
-            o.reshape(r.rows, r.columns) if r.name in ("S", "A", "T") else o
-            for o, r in zip(outputs, results, strict=True)
+            o.reshape(r.rows, r.columns) if r.name in matrices else o for o, r in zip(outputs, results, strict=True)
         )
         return status, tuple(shaped)
 
@@ -186,8 +250,8 @@ class CompiledTwin(Twin):
         name = law.routine(entry).result
         return (Result(name, *shapes(law)[name], "", ""),)
 
-    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
-        return self.evaluate(name, inputs)[1][0]
+    def _evaluate(self, name: str, inputs: bytes) -> FloatArray:
+        return self._outputs(name, inputs)[1][0]
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
         S = np.ascontiguousarray(matrix, self.dtype)
@@ -196,14 +260,37 @@ class CompiledTwin(Twin):
         self._function("pinv")(ct.c_void_p(S.ctypes.data), ct.c_void_p(inverse.ctypes.data), ct.byref(info))
         return inverse, _read_info(info)
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        value = last.copy()
+    def _control(self, entry: str, inputs: bytes, last: FloatArray, *numbers: float) -> Control:
+        value = self._value_type.from_buffer_copy(last)
         info = self._info_type()
-        before: list[Any] = [ct.byref(self._model), ct.byref(self._input(inputs))]
-        if entry == "step":
-            before.append(c_real(self.scalar)(dt))
-        self._function(entry)(*before, ct.c_void_p(value.ctypes.data), ct.byref(info))
-        return Control(value, _read_info(info))
+        before: list[Any] = [ct.byref(self._model), inputs, *(c_real(self.scalar)(number) for number in numbers)]
+        self._function(entry)(*before, ct.byref(value), ct.byref(info))
+        return Control(np.frombuffer(value, self.dtype), _read_info(info))
+
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
+    ) -> Batch:
+        info = np.zeros(states.count, _info_dtype(self._module))
+        status = run(self._call(entry, *numbers), states, value, info, threads)
+        info["status"] = status  # prepare's, where it refused a state's parameters
+        info[status < 0] = _refused(info.dtype, status[status < 0])
+        return Batch(value, *(np.ascontiguousarray(info[n]) for n in (*INFO_INTEGERS, *INFO_REALS)))
+
+    def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
+        values = np.full((states.count, *self.scene.shape_of(offered)), np.nan, self.dtype)
+        run(self._call(offered.name), states, values, None, threads)
+        return values
+
+    def _call(self, entry: str, dt: float | None = None) -> Call:
+        parameters, inputs = ([f.name for f in fields] for fields in (self._module.parameters, self._module.inputs))
+        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt)
+
+
+def _refused(dtype: np.dtype[Any], status: Any) -> Any:
+    """What `info` says of states that were refused, beside the status."""
+    info = np.zeros(len(status), dtype)
+    info["status"], info["path"] = status, Path.NONE
+    return info
 
 
 class CompiledSolver:
@@ -216,7 +303,7 @@ class CompiledSolver:
         self._library = library
         self._prefix = module.target.prefix
         self.limited = module.limits is not None
-        self._info_type = np.dtype(_info_struct(module))
+        self._info_type = _info_dtype(module)
 
     def __repr__(self) -> str:
         return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"

@@ -10,27 +10,13 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
-from servogen.results import STATUS_MEANING, Control, FloatArray, Info, Path, Status
+from servogen.results import STATUS_MEANING, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
-
-_OF_CONSTRAINTS_ALONE = ("psi", "phi", "A", "project")
-"""Functions that need no model."""
-
-_QUANTITIES = {
-    "psi": "The constraints' values, shape (m,).",
-    "S": "psi_u Q^-1 G, shape (m, l), Eq. (8).",
-    "z": "-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9).",
-    "R": "The generalised forces of an ideal passive constraint, shape (n,), Eqs. (16)-(17).",
-    "T": "[I A^T] Q over the constraint rows, shape (n, n), Eqs. (15), (26).",
-    "F": "[I A^T] P over the right side of the constraint rows, shape (n,), Eqs. (15), (26).",
-    "phi": "The constraints' values, shape (m,).",
-    "A": "phi_tau, shape (m, l), Eq. (39).",
-    "B": "Right side of A tau' = B, shape (m,), Eq. (40).",
-}
-"""What a twin's functions return, by name; which of them a scene has, its system says."""
+from servogen.scene.system import SYSTEMS, Function
+from servogen.twins.batch import States, read_states
 
 
 class Twin(ABC):
@@ -40,12 +26,16 @@ class Twin(ABC):
     that the scene uses (psi, phi, A and project: that its constraints use); other inputs left out take their default
     (references) or zero (t, tau, y). Functions that are not a scene's own (S for a controls-involved scene, say) are
     AttributeErrors. Matrices have shape (rows, columns), vectors (rows,); NaN where the code leaves outputs untouched.
+
+    Each function has another for N states at once, `control_batch`, `S_batch`, ...: inputs have shape (N, size), or
+    (size,) where all states share them, and parameters likewise; results have N in front.
     """
 
     def __init__(self, scene: Scene, scalar: Scalar) -> None:
         self.scene = scene
         self.scalar = scalar
         self.dtype = np.dtype(scalar)
+        self._controls = scene.controls  # here, for CasADi takes longer to tell than a control takes
         status = self.prepare()
         if status < 0:
             raise SceneError(
@@ -61,7 +51,11 @@ class Twin(ABC):
             if name not in fields:
                 raise TypeError(f"prepare: no parameter {name!r}; there are {', '.join(fields) or 'none'}")
             values[name] = _sized(given, fields[name].size, name)
-        return self._prepare({n: values.get(n, np.array(f.default)) for n, f in fields.items()})
+        everything = {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+        status = self._prepare(everything)
+        if status >= 0:
+            self._prepared = everything
+        return status
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{f.name} ({f.size})" for f in self.scene.input_fields())
@@ -71,32 +65,47 @@ class Twin(ABC):
 
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
-        if name in _QUANTITIES:
-            if name in self.scene.system.quantities:
-                return self._function_of(name)
+        one = name.removesuffix("_batch")
+        if not any(system.function(one) for system in SYSTEMS.values()):
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        offered = self.scene.system.function(one)
+        if offered is None:
             raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
-        if name in ("project", "step") and self.scene.system.tau_is_state:
-            return self._project_ if name == "project" else self._step_
-        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        if one != name:
+            return self._batch_of(offered)
+        return self._answering(offered) if offered.controls else self._evaluating(offered)
 
     def __dir__(self) -> list[str]:
-        moving = ["project", "step"] if self.scene.system.tau_is_state else []
-        return [*super().__dir__(), *self.scene.system.quantities, *moving]
+        names = [f.name for f in self.scene.system.functions]
+        return [*super().__dir__(), *names, *(f"{n}_batch" for n in names)]
 
-    def _function_of(self, name: str) -> Callable[..., FloatArray]:
+    def _evaluating(self, offered: Function) -> Callable[..., FloatArray]:
         def quantity(**inputs: Any) -> FloatArray:
-            return self._evaluate(name, self.read_inputs(inputs, name))
+            return self._evaluate(offered.name, self._read(inputs, offered.name))
 
-        quantity.__name__, quantity.__doc__ = name, _QUANTITIES[name]
+        quantity.__name__, quantity.__doc__ = offered.name, offered.text
         return quantity
 
-    def _project_(self, *, last: Any = None, **inputs: Any) -> Control:
-        """The tau nearest to the given one with phi = 0."""
-        return self._control("project", self.read_inputs(inputs, "project"), self._last(last))
+    def _answering(self, offered: Function) -> Callable[..., Control]:
+        def answer(*given: float, last: Any = None, **inputs: Any) -> Control:
+            numbers = _numbers(offered, given, inputs)
+            return self._control(offered.name, self._read(inputs, offered.name), self._last(last), *numbers)
 
-    def _step_(self, dt: float, *, last: Any = None, **inputs: Any) -> Control:
-        """tau advanced by dt (seconds) along tau', then projected onto phi = 0."""
-        return self._control("step", self.read_inputs(inputs, "step"), self._last(last), float(dt))
+        answer.__name__, answer.__doc__ = offered.name, offered.text
+        return answer
+
+    def _batch_of(self, offered: Function) -> Callable[..., Any]:
+        def answers(*given: float, last: Any = None, threads: int | None = None, **arrays: Any) -> Batch:
+            numbers = _numbers(offered, given, arrays)
+            return self._answers(offered.name, arrays, last, threads, *numbers)
+
+        def quantities(*, threads: int | None = None, **arrays: Any) -> FloatArray:
+            return self._evaluate_batch(offered, self._read_batch(arrays, offered.name), threads)
+
+        function: Callable[..., Any] = answers if offered.controls else quantities
+        function.__name__ = f"{offered.name}_batch"
+        function.__doc__ = f"At N states, the first axis of what is returned: {offered.text}"
+        return function
 
     def pinv(self, matrix: Any) -> FloatArray:
         """The Moore-Penrose inverse (l, m) of a matrix (m, l) of the scene's shape; NaN where it was refused."""
@@ -108,7 +117,33 @@ class Twin(ABC):
 
     def control(self, *, last: Any = None, **inputs: Any) -> Control:
         """tau (tau' for controls-involved scenes); `last`, or zeros, where the status is negative."""
-        return self._control("control", self.read_inputs(inputs, "control"), self._last(last))
+        return self._control("control", self._read(inputs, "control"), self._last(last))
+
+    def control_batch(self, *, last: Any = None, threads: int | None = None, **arrays: Any) -> Batch:
+        """`control` at N states: the same bits as one by one, whatever the number of threads (None: one a core).
+
+        Inputs: (N, size), or (N,) of one number; (size,) where all states share it. Parameters may be given likewise,
+        and hold for this call alone: each state is then prepared, those left out as they were prepared last. Arrays of
+        the twin's type whose rows lie together are read where they are. last: (l,) or (N, l).
+        """
+        return self._answers("control", arrays, last, threads)
+
+    def _answers(self, entry: str, arrays: dict[str, Any], last: Any, threads: int | None, *numbers: float) -> Batch:
+        states = self._read_batch(arrays, entry)
+        shape = (states.count, self._controls)
+        value = np.zeros(shape, self.dtype)
+        if last is not None:
+            given = np.asarray(last, dtype=float)
+            if given.shape not in (shape, shape[1:]):
+                raise ValueError(f"last has shape {given.shape}; it must have {shape[1:]} or {shape}")
+            value[:] = given
+        return self._control_batch(entry, states, value, threads, *numbers)
+
+    def _read_batch(self, arrays: dict[str, Any], function: str) -> States:
+        """The states of a batch. TypeError where a state that the function needs is missing, or a name is unknown."""
+        self._refuse_missing(arrays, function)
+        known = ("q", "u", "t", "tau", "y")
+        return read_states(arrays, self._fields, known, self._prepared, self.dtype, f"{function}_batch")
 
     @cached_property
     def _fields(self) -> dict[str, Field]:
@@ -127,15 +162,25 @@ class Twin(ABC):
             if name not in sizes:
                 raise TypeError(f"{function}: no input {name!r}; scene {scene.name!r} knows {', '.join(sizes)}")
             values[name] = _sized(value, sizes[name], name)
-        missing = [f"{n} ({fields[n].text})" for n in self._needed(function) if n not in values]
+        self._refuse_missing(values, function)
+        return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+
+    def _read(self, given: dict[str, Any], function: str) -> Any:
+        """Inputs as this twin's functions take them."""
+        return self.read_inputs(given, function)
+
+    def _refuse_missing(self, given: dict[str, Any], function: str) -> None:
+        missing = [f"{n} ({self._fields[n].text})" for n in self._needed(function) if n not in given]
         if missing:
             told, verb = " and ".join(missing), "are" if missing[1:] else "is"
-            raise TypeError(f"{function}: {told} of scene {scene.name!r} {verb} left out; give every state by keyword")
-        return {n: values.get(n, np.array(f.default)) for n, f in fields.items()}
+            raise TypeError(
+                f"{function}: {told} of scene {self.scene.name!r} {verb} left out; give every state by keyword"
+            )
 
     def _needed(self, function: str) -> tuple[str, ...]:
         """Those of q and u without which a function has no meaning."""
-        return self._states["constraints" if function in _OF_CONSTRAINTS_ALONE else "scene"]
+        offered = self.scene.system.function(function)
+        return self._states["constraints" if offered is not None and offered.of_constraints else "scene"]
 
     @cached_property
     def _states(self) -> dict[str, tuple[str, ...]]:
@@ -151,8 +196,9 @@ class Twin(ABC):
         return {"constraints": used(constraints), "scene": used(list(parts.values()))}
 
     def _last(self, last: Any) -> FloatArray:
-        value = np.zeros(self.scene.controls) if last is None else _sized(last, self.scene.controls, "last")
-        return value.astype(self.dtype)
+        if last is None:
+            return np.zeros(self._controls, self.dtype)
+        return _sized(last, self._controls, "last").astype(self.dtype)
 
     @abstractmethod
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status: ...
@@ -161,10 +207,28 @@ class Twin(ABC):
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]: ...
 
     @abstractmethod
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control: ...
+    def _control(self, entry: str, inputs: Any, last: FloatArray, *numbers: float) -> Control: ...
 
     @abstractmethod
-    def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray: ...
+    def _evaluate(self, name: str, inputs: Any) -> FloatArray: ...
+
+    @abstractmethod
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
+    ) -> Batch: ...
+
+    @abstractmethod
+    def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray: ...
+
+
+def _numbers(offered: Function, given: tuple[float, ...], inputs: dict[str, Any]) -> list[float]:
+    """The numbers that a function takes before the inputs, by place or by keyword; taken out of the latter."""
+    named = dict(zip(offered.arguments, given, strict=False))
+    named |= {n: inputs.pop(n) for n in offered.arguments[len(given) :] if n in inputs}
+    if len(named) < len(offered.arguments) or len(given) > len(offered.arguments):
+        wanted = ", ".join(offered.arguments) or "no number"
+        raise TypeError(f"{offered.name} takes {wanted} before the inputs, which go by keyword")
+    return [float(named[n]) for n in offered.arguments]
 
 
 def refusal(status: Status) -> Info:

@@ -1,7 +1,7 @@
 """The reference: the textbook formulas of the paper in numpy, without our derivation, optimiser or solver."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -11,21 +11,23 @@ import numpy as np
 from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.servo import constraint_rows
-from servogen.results import Control, FloatArray, Info, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
-from servogen.scene.domain import draw_states
+from servogen.scene.samples import EXAMINED, draw_samples
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
+from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy, policy_for
+from servogen.twins.batch import States
 from servogen.twins.interface import Twin, finite, refusal
 
 _WITHOUT_MASS = {"psi", "phi", "A"}
 
 
-Noise = Callable[[Scene, Scalar], tuple[float, ...]]
+Noise = Callable[[Scene, Scalar], Sequence[float] | None]
 """Per row of the system's matrix, the rounding noise of the generated code where the row vanishes."""
 
 
@@ -34,8 +36,29 @@ def reference_twin(scene: Scene, scalar: Scalar, noise: Noise) -> "ReferenceTwin
 
     For float32, inputs, parameters and results are rounded to it; the computation itself stays in float64.
     """
-    kinds = {"servo": ReferenceServo, "ideal": ReferenceIdeal, "controls": ReferenceControls}
-    return kinds[scene.kind](scene, scalar, noise)
+    return _class_of(scene)(scene, scalar, noise)
+
+
+Solve = Callable[[Any], Any]
+"""X -> Q^-1 X of SX, the way its caller wants it."""
+
+
+def textbook_system(scene: Scene, solve: Solve, rows: bool = False) -> tuple[Any, Any]:
+    """The matrix and the right side of the scene's system as SX, as the paper writes them.
+
+    rows: of a product J Q^-1 X, Q is solved with for the rows of J, so that its second product is a short one.
+    """
+    parts = _textbook_parts(scene)
+    return _class_of(scene).written(scene, parts | {"product": lambda X: _product(parts["J"], X, solve, rows)}, solve)
+
+
+def _product(J: Any, X: Any, solve: Solve, rows: bool) -> Any:
+    """J Q^-1 X; rows: by (Q^-1 J^T)^T of a symmetric Q."""
+    return ca.mtimes(solve(J.T).T, X) if rows else ca.mtimes(J, solve(X))
+
+
+def _class_of(scene: Scene) -> "type[ReferenceTwin]":
+    return {"servo": ReferenceServo, "ideal": ReferenceIdeal, "controls": ReferenceControls}[scene.kind]
 
 
 class ReferenceTwin(Twin):
@@ -59,8 +82,8 @@ class ReferenceTwin(Twin):
     def _definite(self) -> bool:
         """Whether Q is symmetric and positive definite over the domain: then any other is as bad as a singular one."""
         defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
-        drawn = draw_states(self.scene, 32)
-        for k in range(32):
+        drawn = draw_samples(self.scene).examined
+        for k in range(EXAMINED):
             Q = self._parts({n: v[k] for n, v in drawn.items()} | defaults)["Q"]
             size = np.sqrt(np.abs(np.diag(Q)))
             if not np.array_equal(Q, Q.T) or not np.all(size > 0):
@@ -142,11 +165,16 @@ class ReferenceTwin(Twin):
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         raise NotImplementedError
 
+    @staticmethod
+    def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
+        """Matrix and right side as SX; parts: those of _textbook_parts, and product: X -> J Q^-1 X."""
+        raise NotImplementedError
+
     def _evaluate(self, name: str, inputs: dict[str, FloatArray]) -> FloatArray:
         status, result = self.system(inputs, name)
-        n = self.scene.mechanism.u.size1()
-        shapes = dict.fromkeys("SA", self.scene.system_shape) | {"T": (n, n), "F": (n,), "R": (n,)}
-        shape = shapes.get(name, (self.scene.rows,))
+        offered = self.scene.system.function(name)
+        assert offered is not None
+        shape = self.scene.shape_of(offered)
         return result[name].reshape(shape).astype(self.dtype) if status >= 0 else np.full(shape, np.nan, self.dtype)
 
     def _pinv(self, matrix: FloatArray) -> tuple[FloatArray, Info]:
@@ -155,8 +183,8 @@ class ReferenceTwin(Twin):
             inverse = np.full(inverse.shape, np.nan)
         return inverse.astype(self.dtype), info
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
-        matrix, right = {"servo": ("S", "z"), "ideal": ("G", "R"), "controls": ("A", "B")}[self.scene.kind]
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
+        matrix, right = self.scene.system.matrix, self.scene.system.right
         weight = () if self.scene.weight is None else ("weight",)
         status, result = self.system(inputs, matrix, right, "y", *weight)
         if status < 0:
@@ -171,6 +199,36 @@ class ReferenceTwin(Twin):
         if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
             return Control(last, refusal(Status.OVERFLOW))
         return Control(np.asarray(tau).astype(self.dtype), info)
+
+    def _each(self, states: States) -> Iterator[tuple[int, Status, dict[str, FloatArray]]]:
+        """One state after the other, with what prepare says of its parameters; then those of before hold again."""
+        try:
+            for k in range(states.count):
+                inputs, parameters = states.one(k)
+                yield k, self._prepare(parameters) if parameters else Status.OK, inputs
+        finally:
+            if states.parameters:
+                self._prepare(self._prepared)
+
+    def _control_batch(
+        self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
+    ) -> Batch:
+        infos = []
+        for k, status, inputs in self._each(states):
+            answer = Control(value[k], refusal(status))
+            if status >= 0:
+                answer = self._control(entry, inputs, value[k], *numbers)
+            value[k] = answer.value
+            infos.append(answer.info)
+        types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
+        columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
+        return Batch(value, *columns)
+
+    def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
+        shape = self.scene.shape_of(offered)
+        refused = np.full(shape, np.nan, self.dtype)
+        rows = [self._evaluate(offered.name, given) if ok >= 0 else refused for _, ok, given in self._each(states)]
+        return np.array(rows, self.dtype).reshape(states.count, *shape)
 
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
@@ -190,6 +248,11 @@ class ReferenceTwin(Twin):
 class ReferenceServo(ReferenceTwin):
     """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
 
+    @staticmethod
+    def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
+        S, drift = parts["product"](parts["G"]), parts["product"](parts["P"])
+        return S, parts["prescribed"] - parts["X"] - drift
+
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         J, Q = given["J"], given["Q"]
         S = J @ np.linalg.solve(Q, given["G"])
@@ -203,8 +266,14 @@ class ReferenceIdeal(ReferenceTwin):
 
     def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
         self._reaction = policy_for(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
-        self._dependent = dependent_columns(scene, constraint_rows(scene)[1])
+        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene)[1])
         super().__init__(scene, scalar, noise)
+
+    @staticmethod
+    def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
+        J, product = parts["J"], parts["product"]
+        right = parts["prescribed"] - parts["X"] - product(parts["P"])
+        return parts["G"], ca.mtimes(J.T, ca.solve(product(J.T), right))
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         J, Q, P = given["J"], given["Q"], given["P"].ravel()
@@ -248,9 +317,9 @@ class ReferenceIdeal(ReferenceTwin):
         good = finite([self._round(T), self._round(F)])
         return (Status.OK, (T, F)) if good else (Status.OVERFLOW, nothing)
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
         status, result = self.system(inputs)
-        answer = super()._control(entry, inputs, last, dt)
+        answer = super()._control(entry, inputs, last)
         if status < 0 or answer.info.status < 0:
             return answer
         reaction = Status(int(result["reaction"][0]))
@@ -282,17 +351,23 @@ def _independent_rows(J: FloatArray, b: FloatArray, rank: int) -> tuple[FloatArr
 class ReferenceControls(ReferenceTwin):
     """A = phi_tau and B by the four terms of Eq. (40)."""
 
+    @staticmethod
+    def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
+        u_dot = solve(parts["P"] + ca.mtimes(parts["G"], scene.mechanism.tau))
+        return parts["A"], parts["prescribed"] - parts["X"] - ca.mtimes(parts["J"], u_dot)
+
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         u_dot = np.linalg.solve(given["Q"], given["P"] + given["G"] @ inputs["tau"].reshape(-1, 1))
         B = given["prescribed"] - given["X"] - given["J"] @ u_dot
         y = inputs["y"] if "y" in inputs else given["y"]
         return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | _weight(given)
 
-    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, dt: float = 0.0) -> Control:
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
         if entry == "control":
             return super()._control(entry, inputs, last)
         if entry == "project":
             return self._project(inputs, last)
+        (dt,) = numbers
         if not np.isfinite(dt):
             return Control(last, refusal(Status.NONFINITE))
         rate = super()._control("control", inputs, last)
@@ -377,9 +452,7 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
     mech = scene.mechanism
     fields = [*scene.input_fields(), *scene.parameters]
-    rows = [_constraint_parts(scene, c) for c in scene.constraints]
-    parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
-    parts |= {"Q": mech.Q, "P": mech.P, "G": mech.G}
+    parts = _textbook_parts(scene)
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
@@ -389,6 +462,14 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     fixed = [name for name, part in parts.items() if not ca.depends_on(ca.densify(part), inputs)]
     names = {"in": [f.name for f in fields], "out": list(parts), "used": used, "fixed": fixed}
     return ca.Function("textbook", [f.symbol for f in fields], list(parts.values())), names
+
+
+def _textbook_parts(scene: Scene) -> dict[str, Any]:
+    """SX of what the formulas are made of: Q, P, G, and of the constraints, row under row, psi, J, X and so on."""
+    mech = scene.mechanism
+    rows = [_constraint_parts(scene, c) for c in scene.constraints]
+    parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
+    return parts | {"Q": mech.Q, "P": mech.P, "G": mech.G}
 
 
 def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:

@@ -1,6 +1,9 @@
 """Robots from URDF files: `sg.urdf.load(path) -> Robot`."""
 
 from servogen.urdf.base import quaternion_rotation
-from servogen.urdf.robot import Robot, load
+from servogen.urdf.limits import JointLimits
+from servogen.urdf.load import load
+from servogen.urdf.payload import Payload
+from servogen.urdf.robot import Robot
 
-__all__ = ["Robot", "load", "quaternion_rotation"]
+__all__ = ["JointLimits", "Payload", "Robot", "load", "quaternion_rotation"]

@@ -9,6 +9,7 @@ from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, minus, plus,
 
 FLOATING_Q = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 FLOATING_U = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")
+FLOATING_TAU = ("base_fx", "base_fy", "base_fz", "base_mx", "base_my", "base_mz")
 
 _IDENTITY: Mat = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -1,11 +1,12 @@
 """Bias forces and mass matrix by tree recursions in body frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
 import casadi as ca
 
+from servogen.urdf.exact import ZERO
 from servogen.urdf.inertia import Inertia
 from servogen.urdf.motion import Link, Motion
 from servogen.urdf.vectors import (
@@ -24,14 +25,14 @@ from servogen.urdf.vectors import (
 
 
 def forces(
-    links: list[Link], motion: list[Motion], inertias: list[Inertia], rotors: dict[int, Fraction]
+    links: list[Link], motion: list[Motion], bodies: "list[Composite]", rotors: dict[int, Fraction]
 ) -> tuple[Vec, Vec, list[Any]]:
     """What a motion takes: force and moment at the root, then one entry per joint.
 
-    Recursive Newton-Euler, Featherstone (2008), Table 5.1. inertias, rotors: by body,
+    Recursive Newton-Euler, Featherstone (2008), Table 5.1. bodies: each alone; they and rotors by body,
     as regrouped. N, N m in the root's frame; N m or N per joint.
     """
-    wrenches = [_inertial_wrench(m, i) for m, i in zip(motion, inertias, strict=True)]
+    wrenches = [_inertial_wrench(m, i) for m, i in zip(motion, bodies, strict=True)]
     joint: list[Any] = [0.0] * len(links)
     for k in range(len(links), 0, -1):
         here, parent = links[k - 1], links[k - 1].body.parent
@@ -49,9 +50,9 @@ def forces(
     return *wrenches[0], joint
 
 
-def _inertial_wrench(motion: Motion, inertia: Inertia) -> tuple[Vec, Vec]:
+def _inertial_wrench(motion: Motion, body: "Composite") -> tuple[Vec, Vec]:
     """m a + U h, and sum of r x (a + U r) m over the body."""
-    mass, h, s = float(inertia.mass), numbers(inertia.first), number_rows(inertia.second)
+    mass, h, s = body.mass, body.first, body.second
     U, (xx, yy, zz) = motion.U, motion.squares
     f = plus(times(mass, motion.a), tuple(inner(row, h) for row in U))  # type: ignore[arg-type]
     n = (
@@ -66,7 +67,7 @@ def _inertial_wrench(motion: Motion, inertia: Inertia) -> tuple[Vec, Vec]:
 class Composite:
     """A body with all it carries, in its frame: mass (kg), first (kg m) and second moments (kg m^2), SX or numbers."""
 
-    mass: float
+    mass: Any
     first: Vec
     second: Mat
 
@@ -88,20 +89,29 @@ class Composite:
         return (-hy, hx, 0.0), (-s[0][2], -s[1][2], s[0][0] + s[1][1])
 
 
-def composites(links: list[Link], inertias: list[Inertia]) -> list[Composite]:
-    """Composite rigid bodies, Featherstone (2008), Table 6.2, from the tips to the root.
+def alone(inertia: Inertia, load: Composite | None = None) -> Composite:
+    """One body by itself, with what is fixed to it."""
+    own = Composite(float(inertia.mass), numbers(inertia.first), number_rows(inertia.second))
+    return own if load is None else own + load
+
+
+def composites(links: list[Link], inertias: list[Inertia], loads: dict[int, Composite]) -> list[Composite]:
+    """Composite rigid bodies, Featherstone (2008), Table 6.2, from the tips to the root. loads: by body.
 
     Masses add up exactly, so that those which regrouping has moved away leave no trace.
     """
     masses = [i.mass for i in inertias]
-    found = [Composite(0.0, numbers(i.first), number_rows(i.second)) for i in inertias]
-    for k in range(len(links), 0, -1):
-        here, parent = links[k - 1], links[k - 1].body.parent
-        own = Composite(float(masses[k]), found[k].first, found[k].second)
+    loaded = [loads[k].mass if k in loads else 0.0 for k in range(len(inertias))]
+    found = [alone(replace(i, mass=ZERO), loads.get(k)) for k, i in enumerate(inertias)]
+    for k in range(len(links), -1, -1):
+        own = Composite(float(masses[k]) + loaded[k], found[k].first, found[k].second)
         found[k] = own
+        if k == 0:
+            break
+        here, parent = links[k - 1], links[k - 1].body.parent
         found[parent] = found[parent] + _seen_from_parent(here, own)
         masses[parent] += masses[k]
-    found[0] = Composite(float(masses[0]), found[0].first, found[0].second)
+        loaded[parent] = loaded[parent] + loaded[k]
     return found
 
 

@@ -3,6 +3,7 @@
 A quarter turn is exact; any other angle is computed to 50 digits and then kept as a rational.
 """
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 
@@ -73,28 +74,42 @@ def scale_matrix(factor: Fraction, m: Matrix) -> Matrix:
 
 def snapped_turns(angle: float) -> int | None:
     """How many quarter turns an angle in radians is meant to be; None if it is no multiple of one."""
-    turns = round(angle / (mp.pi / 2))
-    return int(turns) if abs(angle - turns * mp.pi / 2) <= QUARTER_TURN_TOLERANCE else None
+    with mp.workdps(_digits(angle)):
+        turns = round(angle / (mp.pi / 2))
+        return int(turns) if abs(angle - turns * mp.pi / 2) <= QUARTER_TURN_TOLERANCE else None
 
 
-def cosine_sine(angle: float) -> tuple[Fraction, Fraction]:
-    """cos and sin of an angle in radians: exact at quarter turns, else to 50 digits."""
-    turns = snapped_turns(angle)
+def _digits(angle: float) -> int:
+    """As many as leave 50 of what is less than a turn."""
+    return _DIGITS + max(0, math.frexp(angle)[1] // 3)
+
+
+def cosine_sine(angle: float, quarter_turns: bool = True) -> tuple[Fraction, Fraction]:
+    """cos and sin of an angle in radians: exact near quarter turns, where these are asked for, else to 50 digits."""
+    turns = snapped_turns(angle) if quarter_turns else None
     if turns is not None:
         return _QUARTER_TURNS[turns % 4]
-    with mp.workdps(_DIGITS):
+    with mp.workdps(_digits(angle)):
         number = decimal_value(angle)
         exact = mp.mpf(number.numerator) / number.denominator
         return as_fraction(mp.cos(exact)), as_fraction(mp.sin(exact))
 
 
-def rotation(rpy: Sequence[float]) -> Matrix:
+def rotation(rpy: Sequence[float], quarter_turns: bool = True) -> Matrix:
     """The rotation of URDF's roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
-    (cr, sr), (cp, sp), (cy, sy) = (cosine_sine(float(angle)) for angle in rpy)
+    (cr, sr), (cp, sp), (cy, sy) = (cosine_sine(float(angle), quarter_turns) for angle in rpy)
     roll: Matrix = ((ONE, ZERO, ZERO), (ZERO, cr, -sr), (ZERO, sr, cr))
     pitch: Matrix = ((cp, ZERO, sp), (ZERO, ONE, ZERO), (-sp, ZERO, cp))
     yaw: Matrix = ((cy, -sy, ZERO), (sy, cy, ZERO), (ZERO, ZERO, ONE))
     return multiply(yaw, multiply(pitch, roll))
+
+
+def about(axis: Vector, angle: float) -> Matrix:
+    """The rotation about a unit axis by an angle in radians (Rodrigues)."""
+    c, s = cosine_sine(angle)
+    cross_rows: Matrix = ((ZERO, -axis[2], axis[1]), (axis[2], ZERO, -axis[0]), (-axis[1], axis[0], ZERO))
+    turned = add_matrices(scale_matrix(c, IDENTITY), scale_matrix(s, cross_rows))
+    return add_matrices(turned, scale_matrix(1 - c, outer(axis, axis)))
 
 
 def unit(a: Vector) -> Vector:

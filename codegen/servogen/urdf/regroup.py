@@ -7,6 +7,7 @@ A last body that is then symmetric about its axis, balanced and without products
 is seen apart from the parent (a gyrostat, Wittenburg (2008), Section 3.3).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -23,10 +24,10 @@ class Regrouped:
     rotors: dict[int, Fraction]
 
 
-def regroup(tree: Tree) -> Regrouped:
-    """From the tips to the root, move to the parent what the joint does not show."""
+def regroup(tree: Tree, loaded: Collection[int] = ()) -> Regrouped:
+    """From the tips to the root, move to the parent what the joint does not show. loaded: bodies that carry more."""
     bodies = list(tree.bodies)
-    leaves = set(range(1, len(bodies))) - {body.parent for body in bodies}
+    leaves = set(range(1, len(bodies))) - {body.parent for body in bodies} - set(loaded)
     rotors: dict[int, Fraction] = {}
     for k in range(len(bodies) - 1, 0, -1):
         body = bodies[k]

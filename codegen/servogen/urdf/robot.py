@@ -1,52 +1,93 @@
 """A robot as CasADi SX: its mechanism, and the kinematics of its links."""
 
-import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.scene.convert import matrix
-from servogen.scene.known import Gauge, KnownRates
+from servogen.scene.known_rates import Gauge, KnownRates
 from servogen.scene.mechanism import Mechanism
 from servogen.urdf import dynamics, placement
-from servogen.urdf.base import FLOATING_Q, FLOATING_U, fixed_base, floating_base, rate_map
-from servogen.urdf.description import read
-from servogen.urdf.frames import align, slide
+from servogen.urdf.base import FLOATING_Q, FLOATING_TAU, FLOATING_U, fixed_base, floating_base, rate_map
+from servogen.urdf.limits import JointLimits
 from servogen.urdf.motion import Motion, Motions, link, motions
+from servogen.urdf.payload import Payload
 from servogen.urdf.regroup import regroup
 from servogen.urdf.skeleton import skeleton
-from servogen.urdf.tree import Frame, Tree, build
+from servogen.urdf.tree import Drive, Frame, Tree
 from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
+
+FRICTION_WIDTH = 0.01
+"""rad/s or m/s: friction="tanh" is friction tanh(rate / width), within 1 % of itself from 2.7 widths on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """What resists each moving body's joint, by body from 1 on: numbers or SX; none where it is 0.
+
+    damping: N m s/rad or N s/m. friction: N m or N. armature: kg m^2 or kg, of what turns with the joint.
+    """
+
+    damping: Sequence[Any]
+    friction: Sequence[Any]
+    armature: Sequence[Any]
+
+    def force(self, rates: Sequence[Any]) -> list[Any]:
+        """Of damping and friction against the joints' rates."""
+        found = []
+        for d, f, rate in zip(self.damping, self.friction, rates, strict=True):
+            force = 0.0 if _is_zero(d) else d * rate
+            found.append(force if _is_zero(f) else force + f * ca.tanh(rate / FRICTION_WIDTH))
+        return found
 
 
 class Robot:
     """A tree of rigid bodies from a URDF file; every result is SX of `q` and `u`. Frames are named by links.
 
     q: n joint coordinates (rad, m), after position (m) and unit quaternion (w, x, y, z) of a floating base.
-    u: n joint rates, after linear and angular velocity of a floating base in its own axes. tau: n joint efforts.
-    notes: what was read otherwise than written (angles taken as exact quarter turns).
+    u: n joint rates, after linear and angular velocity of a floating base in its own axes. tau: n joint efforts; of a
+    single free body without joints, the force (N) and moment (N m) on it at its frame's origin, in its own axes.
+    notes: what was read otherwise than written (angles taken as exact quarter turns). limits: of the joints.
     """
 
-    def __init__(self, tree: Tree, joints: Sequence[str], floating: bool, gravity: Vec, notes: Sequence[str]) -> None:
+    def __init__(
+        self,
+        tree: Tree,
+        joints: Sequence[str],
+        floating: bool,
+        gravity: Vec,
+        notes: Sequence[str],
+        resisting: Joints,
+        payloads: Sequence[Payload],
+        limits: JointLimits,
+    ) -> None:
         self.joints = tuple(joints)
         self.notes = tuple(notes)
+        self.limits = limits
         names = self.joints
         self.q = _symbols((*FLOATING_Q, *names) if floating else names)
         rates = tuple(f"{name}_rate" for name in names)
         self.u = _symbols((*FLOATING_U, *rates) if floating else rates)
-        self.tau = _symbols(tuple(f"{name}_effort" for name in names))
+        self.tau = _symbols(tuple(f"{name}_effort" for name in names) if names else FLOATING_TAU)
         self._base = floating_base(self.q, self.u, gravity) if floating else fixed_base(gravity)
-        self._regrouped = regroup(tree)
+        self._resisting = resisting
+        self._loads: dict[int, dynamics.Composite] = {}
+        for body, load in (payload.on(tree) for payload in payloads):
+            self._loads[body] = self._loads[body] + load if body in self._loads else load
+        self._regrouped = regroup(tree, self._loads)
         self._tree = self._regrouped.tree
-        # body k + 1 moves by the coordinate of its joint, whose place the caller chose
-        self._place = [self.joints.index(body.joint) for body in tree.bodies[1:]]
+        drives = [body.drive for body in tree.bodies[1:]]
+        # body k + 1 moves by a coordinate, whose place the caller chose, times a factor
+        self._place = [self.joints.index(drive.joint) for drive in drives]
+        self._factor = [float(drive.factor) for drive in drives]
+        self._plain = all(drive.is_plain for drive in drives)
         first_q, first_u = (len(FLOATING_Q), len(FLOATING_U)) if floating else (0, 0)
         self._links = [
-            link(body, self.q[first_q + at], self.u[first_u + at])
+            link(body, *_driven(body.drive, self.q[first_q + at], self.u[first_u + at]))
             for body, at in zip(self._tree.bodies[1:], self._place, strict=True)
         ]
         self._known = KnownRates()
@@ -59,17 +100,19 @@ class Robot:
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """Q: mass matrix; P = -(bias forces); G: identity, or the joints' rows for a floating base; C for its rates.
+        """Q: mass matrix with armature; P = -(bias forces, damping, friction); C for the rates of a floating base.
+
+        G: identity, or the joints' rows for a floating base.
 
         Composite rigid bodies and recursive Newton-Euler: Featherstone (2008), Chapters 5, 6 and 9.
         u' of a floating base are the derivatives of the components in its own, turning axes.
         """
         n, base = len(self.joints), self._base.size
-        G = ca.vertcat(ca.SX(base, n), ca.SX.eye(n))
+        G = ca.vertcat(ca.SX(base, n), ca.SX.eye(n)) if n else ca.SX.eye(base)
         C = rate_map(self._base, self.q[3:7], n) if base else None
         Q, P = self._mass_matrix(), -self._forces(self._motion)
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
-        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known=self._known,
+        return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known_rates=self._known,
                          skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
@@ -117,7 +160,7 @@ class Robot:
     def center_of_mass(self) -> Any:
         """Of the whole robot, links fixed to the world included, in the world, 3, m. SceneError for a massless one."""
         whole = self._composites[0]
-        if whole.mass <= 0:
+        if ca.SX(whole.mass).is_constant() and float(whole.mass) <= 0:
             raise SceneError("the robot has no mass; give its links an <inertial>")
         return column(plus(self._base.position, self._base.to_world(times(1 / whole.mass, whole.first))))
 
@@ -130,9 +173,12 @@ class Robot:
 
     @cached_property
     def _at_ease(self) -> Motions:
-        """At the accelerations that make this cheapest: a floating base falls freely."""
+        """At the accelerations that make this cheapest: a floating base falls freely.
+
+        Joints that mimic others cannot each have their own, so then no joint accelerates.
+        """
         felt = NOWHERE if self._base.floating else self._base.felt()
-        return motions(self._links, Motion(self._base.omega, NOWHERE, felt), at_ease=True)
+        return motions(self._links, Motion(self._base.omega, NOWHERE, felt), at_ease=self._plain)
 
     @cached_property
     def _axes(self) -> list[Mat]:
@@ -140,7 +186,7 @@ class Robot:
 
     @cached_property
     def _composites(self) -> list[dynamics.Composite]:
-        return dynamics.composites(self._links, [body.inertia for body in self._tree.bodies])
+        return dynamics.composites(self._links, [body.inertia for body in self._tree.bodies], self._loads)
 
     @cached_property
     def _base_rotation(self) -> Any:
@@ -149,19 +195,48 @@ class Robot:
     def _mass_matrix(self) -> Any:
         floating = self._base.floating
         rows = dynamics.mass_matrix(self._links, self._composites, self._regrouped.rotors, floating)
-        order = self._order()
-        return ca.vertcat(*(ca.horzcat(*(ca.SX(rows[i][j]) for j in order)) for i in order))
+        for k, armature in enumerate(self._resisting.armature, start=self._base.size):
+            if not _is_zero(armature):
+                rows[k][k] = rows[k][k] + armature
+        if self._plain:
+            order = self._order()
+            return ca.vertcat(*(ca.horzcat(*(ca.SX(rows[i][j]) for j in order)) for i in order))
+        K = self._coupling
+        full = ca.vertcat(*(ca.horzcat(*map(ca.SX, row)) for row in rows))
+        return ca.triu2symm(ca.triu(ca.densify(ca.mtimes(K.T, ca.mtimes(full, K)))))
 
     def _forces(self, motion: Motions) -> Any:
-        inertias = [body.inertia for body in self._tree.bodies]
-        f, n, joint = dynamics.forces(self._links, motion.of, inertias, self._regrouped.rotors)
-        entries = [*f, *n, *joint] if self._base.floating else joint
-        return column([entries[i] for i in self._order()])
+        bodies = [dynamics.alone(body.inertia, self._loads.get(k)) for k, body in enumerate(self._tree.bodies)]
+        f, n, joint = dynamics.forces(self._links, motion.of, bodies, self._regrouped.rotors)
+        resistance = self._resisting.force([link.u for link in self._links])
+        joint = [own if _is_zero(against) else own + against for own, against in zip(joint, resistance, strict=True)]
+        for k, armature in enumerate(self._resisting.armature):
+            if not _is_zero(armature) and not _is_zero(motion.joints[k]):
+                joint[k] = joint[k] + armature * motion.joints[k]
+        return self._by_coordinate([*f, *n, *joint] if self._base.floating else joint)
 
     def _accelerations_at_ease(self) -> Any:
         falling = [-x for x in self._base.felt()] + [0.0] * 3 if self._base.floating else []
-        entries = [*falling, *self._at_ease.joints]
-        return column([entries[i] for i in self._order()])
+        if not self._plain:  # no joint accelerates
+            return column([*falling, *([0.0] * len(self.joints))])
+        return self._by_coordinate([*falling, *self._at_ease.joints])
+
+    def _by_coordinate(self, entries: list[Any]) -> Any:
+        """A covector of the recursions (base first, then bodies) as one of u."""
+        if self._plain:
+            return column([entries[i] for i in self._order()])
+        return ca.densify(ca.mtimes(self._coupling.T, column(entries)))
+
+    @cached_property
+    def _coupling(self) -> Any:
+        """K: the rates of the recursions (base first, then bodies) are K u."""
+        base = self._base.size
+        K = ca.SX(base + len(self._links), base + len(self.joints))
+        for i in range(base):
+            K[i, i] = 1
+        for k, (at, factor) in enumerate(zip(self._place, self._factor, strict=True)):
+            K[base + k, base + at] = factor
+        return ca.sparsify(K)
 
     def _order(self) -> list[int]:
         """For each entry of u, its place in the recursions: base first, then bodies."""
@@ -186,7 +261,12 @@ class Robot:
             unit: Vec = (float(i == 0), float(i == 1), float(i == 2))
             linear[i], linear[3 + i], angular[3 + i] = unit, cross(unit, at.arm), unit
         for k, along, about in at.columns:
-            linear[base + self._place[k - 1]], angular[base + self._place[k - 1]] = along, about
+            i = base + self._place[k - 1]
+            if self._plain:
+                linear[i], angular[i] = along, about
+            else:
+                factor = self._factor[k - 1]
+                linear[i], angular[i] = plus(linear[i], times(factor, along)), plus(angular[i], times(factor, about))
         return ca.horzcat(*map(column, linear)), ca.horzcat(*map(column, angular))
 
     def _bias(self, frame: Frame, besides: list[Any], motion: Motions) -> tuple[Any, Any]:
@@ -242,30 +322,13 @@ def _symbols(names: Sequence[str]) -> Any:
     return ca.vertcat(*(ca.SX.sym(name) for name in names))
 
 
-def load(
-    path: str | Path,
-    base: Literal["fixed", "floating"] = "fixed",
-    gravity: Sequence[float] = (0, 0, -9.81),
-    joints: Sequence[str] | None = None,
-    quiet: bool = False,
-) -> Robot:
-    """The robot in a URDF file.
+def _driven(drive: Drive, q: Any, u: Any) -> tuple[Any, Any]:
+    """Angle or length of a body's joint, and its rate."""
+    if drive.is_plain:
+        return q, u
+    factor = float(drive.factor)
+    return factor * q + float(drive.offset), factor * u
 
-    base: "fixed" (the root link is the world) or "floating". gravity: in the world, m/s^2.
-    joints: the actuated joints to keep, in the order of q; all others are locked at zero. None: all, in tree order.
-    quiet: do not print (to stderr) which angles were taken as exact quarter turns (they stay in `notes`).
-    Raises SceneError for a file that cannot be read, unsupported joints, loops, joints that move no mass.
-    """
-    if base not in ("fixed", "floating"):
-        raise SceneError(f"base={base!r}; choose 'fixed' or 'floating'")
-    down = [float(g) for g in gravity]
-    if len(down) != 3:
-        raise SceneError(f"gravity has {len(down)} entries; give three, in the world's axes, m/s^2")
-    description = read(path)
-    tree = slide(align(build(description, joints)))
-    moving = [body.joint for body in tree.bodies[1:]]
-    if not quiet:
-        for note in description.notes:
-            print(f"{description.source}: {note}", file=sys.stderr)
-    return Robot(tree, moving if joints is None else joints, base == "floating", (down[0], down[1], down[2]),
-                 description.notes)  # fmt: skip
+
+def _is_zero(value: Any) -> bool:
+    return bool(value.is_zero()) if isinstance(value, ca.SX) else value == 0

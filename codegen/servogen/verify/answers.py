@@ -1,7 +1,7 @@
 """What each step of a law ought to leave: 50-digit values, how far correctly rounded code may be off, and a status.
 
 One function a step, in ANSWERS. Tolerances are first-order: what the errors of a step's inputs do to its result, and
-the rounding of its own arithmetic; a solve may err by BAR u kappa (|tau| + |y|) beyond the former.
+the rounding of its own arithmetic; a solve may err by BAR eps kappa (|tau| + |y|) beyond the former.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ from servogen.verify.exact_steps import sparse_product, transposed_product
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK
 
 BAR = 8.0
-"""tau may err by BAR u kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
+"""tau may err by BAR eps kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
 
 _TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from servogen.errors import SceneError
-from servogen.verify.certificate import Certificate
+from servogen.verify.board_certificate import BoardCertificate
 
 SLACK = 0.03
 FILE = "budget.toml"
@@ -30,7 +30,7 @@ def read(path: Path) -> dict[str, Any]:
         raise SceneError(f"{path}: {problem}") from problem
 
 
-def figures(certificate: Certificate) -> dict[str, Any]:
+def figures(certificate: BoardCertificate) -> dict[str, Any]:
     """What a budget can limit."""
     return {
         "flash": certificate.flash,
@@ -39,18 +39,18 @@ def figures(certificate: Certificate) -> dict[str, Any]:
     }
 
 
-def name_of(certificate: Certificate) -> str:
+def name_of(certificate: BoardCertificate) -> str:
     """The header of its table: scene.board.scalar."""
     return f"{certificate.scene}.{certificate.target}.{certificate.scalar}"
 
 
-def limits_of(certificate: Certificate, budgets: dict[str, Any]) -> dict[str, Any]:
+def limits_of(certificate: BoardCertificate, budgets: dict[str, Any]) -> dict[str, Any]:
     """What the budgets limit of it; nothing where they have no entry."""
     limits: dict[str, Any] = budgets.get(certificate.scene, {}).get(certificate.target, {}).get(certificate.scalar, {})
     return limits
 
 
-def exceeded(certificate: Certificate, budgets: dict[str, Any]) -> list[str]:
+def exceeded(certificate: BoardCertificate, budgets: dict[str, Any]) -> list[str]:
     """What is more than SLACK above its budget; a limit on something that was not measured, too."""
     where = name_of(certificate)
     measured = _flat(figures(certificate))
@@ -64,7 +64,7 @@ def exceeded(certificate: Certificate, budgets: dict[str, Any]) -> list[str]:
     return problems
 
 
-def accept(path: Path, certificates: list[Certificate]) -> None:
+def accept(path: Path, certificates: list[BoardCertificate]) -> None:
     """Write the measured figures into the file; budgets of other scenes and boards stay."""
     budgets = read(path)
     for c in certificates:

@@ -5,6 +5,7 @@ on every target, and hashes statuses, answers and infos. What is right was shown
 the boards give it, bit for bit, at states in and out of the domain, singular and boundary ones among them.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -132,7 +133,7 @@ def _entry(words: dict[str, str]) -> EntryCampaign:
 def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping[str, Any]) -> str:
     """The C header <prefix>_campaign.h: states to start from, the domain's box, and the entry points to call.
 
-    Of the entry points that evaluate, the fused ones: they hold the others' code.
+    Of the entry points that evaluate, the constraints' values and the fused ones, which hold the others' code.
     """
     dtype = np.dtype(scalar).type
     fields = [f for f in scene.input_fields() if f.name in manifest["inputs"]]
@@ -170,16 +171,24 @@ def _flat(fields: Sequence[Any], state: Mapping[str, FloatArray], dtype: Any) ->
 
 def _entries(scene: Scene, manifest: Mapping[str, Any], scalar: Scalar) -> list[dict[str, Any]]:
     """The entry points in the order they run, as the template prints them."""
-    m, l = scene.rows, scene.controls
-    outputs = {"psi": (m,), "phi": (m,), "S_z": (m * l, m), "A_B": (m * l, m), "R": (scene.system_shape[0],)}
-    answers = {"control": "", "project": "", "step": literal(float(np.dtype(scalar).type(STEP_DT)), scalar) + ", "}
+    system, number = scene.system, literal(float(np.dtype(scalar).type(STEP_DT)), scalar)
+    sizes = {f.name: math.prod(scene.shape_of(f)) for f in system.functions}
+    both = f"{system.matrix}_{system.right}"
     entries = []
-    for name in manifest["entry_points"]:
-        if name in outputs:
-            starts = [sum(outputs[name][:k]) for k in range(len(outputs[name]))]
-            actuals = ", ".join(["&hc_model", "&in", *(f"out + {k}" for k in starts)])
-            entries.append({"name": name, "size": sum(outputs[name]), "has_info": False, "actuals": actuals})
-        elif name in answers:
-            actuals = f"&hc_model, &in, {answers[name]}out, &told"
-            entries.append({"name": name, "size": l, "has_info": True, "actuals": actuals})
+    for name, told in manifest["entry_points"].items():
+        offered, solves = system.function(name), "solver_operations" in told
+        if name == both:
+            entries.append(_evaluating(name, [sizes[system.matrix], sizes[system.right]]))
+        elif name == "control" or (offered is not None and offered.controls):
+            numbers = [number for _ in offered.arguments] if offered is not None else []
+            actuals = ", ".join(["&hc_model", "&in", *numbers, "out", "&told"])
+            entries.append({"name": name, "size": scene.controls, "has_info": True, "actuals": actuals})
+        elif offered is not None and (solves or name == system.constraint):
+            entries.append(_evaluating(name, [sizes[name]]))
     return entries
+
+
+def _evaluating(name: str, sizes: Sequence[int]) -> dict[str, Any]:
+    """An entry point that hands out quantities of these sizes."""
+    actuals = ", ".join(["&hc_model", "&in", *(f"out + {sum(sizes[:k])}" for k in range(len(sizes)))])
+    return {"name": name, "size": sum(sizes), "has_info": False, "actuals": actuals}

@@ -11,7 +11,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Project, Solve
 from servogen.package import Package
 from servogen.results import FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
@@ -57,7 +57,7 @@ class OutputCheck:
 class SolveCheck:
     """tau of the generated C against the exact solution of the S, z, y it computed itself.
 
-    max_error: largest |tau - exact| / (u kappa(S) (|tau| + |y|)); the bar is BAR.
+    max_error: largest |tau - exact| / (eps kappa(S) (|tau| + |y|)); the bar is BAR.
     """
 
     scene: str
@@ -182,7 +182,8 @@ def check(
     problems += [f"{c.scene} {c.scalar} on {target}: {c.problem}" for c in campaigns if c.problem]
     skipped += [text for case in cases for text in _not_covered(case)]
     problems += [
-        f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} u kappa (|tau| + |y|), the bar is {BAR:g}"
+        f"{s.scene} {s.scalar} ({s.compiler}): tau errs by {s.max_error:.3g} eps kappa (|tau| + |y|); "
+        f"the bar is {BAR:g}"
         for s in solves
         if not s.passed
     ]
@@ -263,6 +264,7 @@ def _disagreement(here: Campaign, there: Campaign) -> str:
 
 
 def _output_check(case: _Case, target: str, o: OutputResult, references: dict[str, float]) -> OutputCheck:
+    judged = o.entry == "control" or o.output != case.scene.system.answer
     return OutputCheck(
         case.scene.name,
         case.scalar,
@@ -271,7 +273,7 @@ def _output_check(case: _Case, target: str, o: OutputResult, references: dict[st
         o.output,
         o.compared,
         o.max_ulps,
-        references.get(o.output if o.entry not in ("project", "step") else ""),
+        references.get(o.output) if judged else None,
         o.max_ratio,
         o.hash,
         o.histogram,
@@ -287,7 +289,7 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     answer = case.scene.system.answer
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
     system = case.scene.system
-    names = (case.package.module.entry_points[0].name, system.matrix, system.right)
+    names = (system.constraint, system.matrix, system.right)
     wanted = {name: vectors[name, name] for name in names if (name, name) in vectors}
     for k in range(truth.drawn):
         inputs = {name: values[k] for name, values in truth.inputs.items()}
@@ -321,12 +323,15 @@ def _formula_problems(case: _Case, reference_ulps: dict[str, float]) -> list[str
 
 def _not_covered(case: _Case) -> list[str]:
     """What no vector judges, with the reason."""
-    projected = next((e for e in case.vectors.entries if e.call == "project"), None)
-    if projected is None:
-        return []
-    unknown = int(np.sum(projected.statuses()[: case.truth.drawn] == ANY_STATUS))
-    of = f"{unknown} of {case.truth.drawn} states"
-    return [f"{case.package.prefix}: project at {of}, where Newton's method finds no nearest tau"] if unknown else []
+    steps = {r.name: r.steps[0] for r in case.truth.law.routines if isinstance(r.steps[0], Project)}
+    lines = []
+    for entry in (e for e in case.vectors.entries if e.name in steps):
+        unknown = int(np.sum(entry.statuses()[: case.truth.drawn] == ANY_STATUS))
+        if unknown:
+            of = f"{unknown} of {case.truth.drawn} states"
+            nearest = f"where Newton's method finds no nearest {steps[entry.name].into}"
+            lines.append(f"{case.package.prefix}: {entry.name} at {of}, {nearest}")
+    return lines
 
 
 def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
@@ -396,7 +401,7 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
 def _solve_error(
     S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, epsilon: float, behind: exact.Matrix | None = None
 ) -> float:
-    """|tau - exact| / (u kappa(S) (|x| + |y|)) for the solve's answer x; times |N| where steps behind it make N x."""
+    """|tau - exact| / (eps kappa(S) (|x| + |y|)) for the solve's answer x; times |N| where steps behind it make N x."""
     matrix = exact.rational(S)
     truth = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(z), exact.rational(y))
     reach = float(np.linalg.norm(exact.nearest(truth))) + float(np.linalg.norm(y))

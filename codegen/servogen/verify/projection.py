@@ -9,6 +9,7 @@ import numpy as np
 from servogen.ir.evaluate import DIGITS, evaluate_exactly
 from servogen.ir.program import Program
 from servogen.ir.rounding import rounding_bounds
+from servogen.law.steps import STATE, Project
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 
@@ -28,10 +29,11 @@ class Nearest:
 
 
 class Projection:
-    """phi, A and the second derivatives of phi by tau of one scene; `program` computes them."""
+    """What a step projects onto: its phi, A and the second derivatives of phi by tau, which `program` computes."""
 
-    def __init__(self, program: Program, places: tuple[tuple[int, int, int], ...], scalar: Scalar) -> None:
-        self._program, self._places, self._scalar = program, places, scalar
+    def __init__(self, program: Program, step: Project, scalar: Scalar) -> None:
+        self.step, self._program, self._scalar = step, program, scalar
+        self._input = step.of.removeprefix(STATE)
 
     def nearest(self, inputs: dict[str, FloatArray], start: list[Any], guess: FloatArray, carried: float) -> Any:
         """Nearest, or None where the conditions have no regular solution near `guess`.
@@ -61,13 +63,13 @@ class Projection:
         return None
 
     def _at(self, inputs: dict[str, FloatArray], tau: list[Any], l: int) -> tuple[Any, Any, list[Any]]:
-        values = next(evaluate_exactly(self._program, inputs | {"tau": np.array([tau], dtype=object)}))
-        phi = mp.matrix(values["phi"])
+        values = next(evaluate_exactly(self._program, inputs | {self._input: np.array([tau], dtype=object)}))
+        phi = mp.matrix(values[self.step.value])
         A = mp.matrix(phi.rows, l)
         H = [mp.zeros(l) for _ in range(phi.rows)]
-        for k, value in enumerate(values["A"]):
+        for k, value in enumerate(values[self.step.matrix]):
             A[k // l, k % l] = value
-        for (row, i, j), value in zip(self._places, values["curvature"], strict=True):
+        for (row, i, j), value in zip(self.step.places, values[self.step.curvature], strict=True):
             H[row][i, j] = H[row][j, i] = value
         return phi, A, H
 
@@ -75,11 +77,11 @@ class Projection:
         self, inputs: dict[str, FloatArray], x: list[Any], start: list[Any], A: Any, H: Any, force: Any, carried: float
     ) -> Nearest | None:
         """How the rounding of phi, A and tau moves the solution: through the inverse of Lagrange's conditions."""
-        l, m, u = len(x), A.rows, EPSILON[self._scalar]
+        l, m, eps = len(x), A.rows, EPSILON[self._scalar]
         tau = np.array([float(v) for v in x])
         if not np.all(np.isfinite(tau)) or np.linalg.matrix_rank(_floats(A)) < m:
             return None
-        bounds = rounding_bounds(self._program, inputs | {"tau": tau[None, :]}, self._scalar)
+        bounds = rounding_bounds(self._program, inputs | {self._input: tau[None, :]}, self._scalar)
         W = np.eye(l) + np.tensordot(_floats(force).ravel(), np.array([_floats(h) for h in H]), 1)
         free = np.linalg.svd(_floats(A))[2][m:]
         if m < l and np.min(np.linalg.eigvalsh(free @ W @ free.T)) <= 0:  # stationary, but not the nearest
@@ -87,9 +89,9 @@ class Projection:
         inverse = np.linalg.inv(_floats(_saddle(mp.matrix(W.tolist()), A)))[:l]
         reach = float(np.linalg.norm(_floats(force)))
         size = np.linalg.norm(tau) + np.linalg.norm([float(v) for v in start])
-        along = BAR * u * size + carried + float(np.linalg.norm(bounds["A"])) * reach
-        along += (m + 1) * u * float(np.linalg.norm(_floats(A))) * reach
-        across = bounds["phi"].ravel() + BAR * u * np.linalg.norm(_floats(A), axis=1) * np.linalg.norm(tau)
+        along = BAR * eps * size + carried + float(np.linalg.norm(bounds[self.step.matrix])) * reach
+        along += (m + 1) * eps * float(np.linalg.norm(_floats(A))) * reach
+        across = bounds[self.step.value].ravel() + BAR * eps * np.linalg.norm(_floats(A), axis=1) * np.linalg.norm(tau)
         error = float(np.linalg.norm(inverse[:, :l], 2) * along + np.linalg.norm(inverse[:, l:], axis=0) @ across)
         bend = float(np.linalg.norm([_floats(h) for h in H]))
         if not error * bend * np.linalg.norm(inverse, 2) < _SMOOTH:

@@ -5,6 +5,7 @@ Tolerances are no guesses: S, z, A, B may differ by the first-order rounding bou
 (ir/rounding.py), what a routine of the law leaves by what its steps do to these errors (answers.py).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +18,10 @@ from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
 from servogen.ir.rounding import rounding_bounds
 from servogen.law.law import Routine, of_the_state, shapes
-from servogen.law.steps import SYSTEM, Advance, Call, Evaluate, Project
+from servogen.law.steps import STATE, SYSTEM, Advance, Call, Evaluate, Project
 from servogen.plan.module import Module
 from servogen.plan.stage import cut
-from servogen.results import FloatArray, Info, Status
+from servogen.results import Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
@@ -28,7 +29,6 @@ from servogen.scene.solver import Solver
 from servogen.singular import pseudo_solution
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import policy_for
-from servogen.twins.interface import Twin
 from servogen.verify.answers import (
     BAR,
     Answer,
@@ -154,7 +154,7 @@ class Truth:
         if isinstance(first, Evaluate):
             return [self._evaluating(routine, k) for k in range(self.count)]
         if isinstance(first, Project):
-            return self._projecting(first, Moved(self.points, self.inputs["tau"], np.zeros(self.count)))
+            return self._projecting(routine, Moved(self.points, self.inputs[_input(first)], np.zeros(self.count)))
         return self._calling(routine)
 
     def _evaluating(self, routine: Routine, k: int) -> Answer:
@@ -181,13 +181,12 @@ class Truth:
         assert isinstance(first, Call)
         assert isinstance(advance, Advance)
         assert isinstance(last, Call)
-        rates, start, dt = self.answers(first.routine), self.inputs["tau"], float(self.dtype(STEP_DT))
+        rates, start, dt = self.answers(first.routine), self.inputs[_input(advance)], float(self.dtype(STEP_DT))
         ways = [advanced(advance, start[k], rates[k], dt) for k in range(self.count)]
         moved = np.array([values for values, _ in ways], dtype=object)
         carried = np.array([error + 2 * self.solver.epsilon * norm(values) for values, error in ways])
-        nearest = self.law.routine(last.routine).steps[0]
-        assert isinstance(nearest, Project)
-        after = self._projecting(nearest, Moved(self._points(self.inputs | {"tau": moved}), moved, carried))
+        there = Moved(self._points(self.inputs | {_input(advance): moved}), moved, carried)
+        after = self._projecting(self.law.routine(last.routine), there)
         return [self._after(*pair) for pair in zip(rates, after, strict=True)]
 
     def _after(self, before: Answer, after: Answer) -> Answer:
@@ -249,7 +248,9 @@ class Truth:
         output = OutputVectors.of(routine.result, expected, limits, scale, self.scalar)
         given = {"S": matrices}
         ranks = np.array(rank)
-        return EntryVectors("pinv", "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn)
+        return EntryVectors(
+            routine.name, "pinv", (output,), np.array(status), ranks, arguments=given, domain=self.drawn
+        )
 
     def _pseudo_inverse(self, S: FloatArray, info: Info) -> tuple[FloatArray, float]:
         """S+ and the condition of what it keeps: exact at full rank, else by the SVD at 50 digits."""
@@ -277,19 +278,20 @@ class Truth:
         if not routine.info:
             return EntryVectors(routine.name, "plain", (output,), status, domain=self.drawn)
         rank = np.array([a.rank if a.status not in (ANY_ANSWER, ANY_STATUS) else ANY_RANK for a in answers])
-        call: Any = routine.name  # its signature has the name of the routine
-        dt = float(self.dtype(STEP_DT)) if routine.arguments else None
-        return EntryVectors(routine.name, call, (output,), status, rank, dt, domain=self.drawn)
+        numbers = (float(self.dtype(STEP_DT)),) * len(routine.arguments)
+        return EntryVectors(routine.name, "control", (output,), status, rank, numbers, domain=self.drawn)
 
-    def _projecting(self, step: Project, moved: "Moved") -> list[Answer]:
-        """The nearest vectors to those of `moved` for which the step's value vanishes."""
+    def _projecting(self, routine: Routine, moved: "Moved") -> list[Answer]:
+        """The nearest vectors to those of `moved` for which the value of the routine's step vanishes."""
+        (step,) = routine.steps
+        assert isinstance(step, Project)
         if not step.curvature:
             return [self._projected(step, k, moved) for k in range(self.count)]
-        projection = Projection(cut(self.program, "projection", step.quantities), step.places, self.scalar)
-        twin = reference(self.scene, self.scalar)
-        return [self._bent(k, projection, twin, moved) for k in range(self.count)]
+        projection = Projection(cut(self.program, "projection", step.quantities), step, self.scalar)
+        near = getattr(reference(self.scene, self.scalar), routine.name)
+        return [self._bent(k, projection, near, moved) for k in range(self.count)]
 
-    def _bent(self, k: int, projection: Projection, twin: Twin, moved: "Moved") -> Answer:
+    def _bent(self, k: int, projection: Projection, near: Callable[..., Control], moved: "Moved") -> Answer:
         """What a projection gives at state k, near what the textbook's iteration finds, if it finds anything."""
         nothing = unknown(self.solver.l, ANY_STATUS)
         if not self.finite[k]:
@@ -298,7 +300,7 @@ class Truth:
             return nothing
         inputs = {n: v[k] for n, v in self.inputs.items()}
         start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in moved.tau[k]]
-        guess = twin.project(**(inputs | {"tau": np.array([float(v) for v in start])}))
+        guess = near(**(inputs | {_input(projection.step): np.array([float(v) for v in start])}))
         if guess.info.status < 0 or guess.info.rank < self.solver.m or guess.info.status == Status.REGULARISED:
             return nothing
         held = {n: v[k : k + 1] for n, v in self.inputs.items()} | self.parameters
@@ -330,11 +332,16 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """The states with another tau: what the program says there, tau (N, l), and the 2-norms of errors it comes with."""
+    """The states with another input, tau (N, l): what the program says there, and the 2-norms of tau's errors."""
 
     points: list[Point]
     tau: Any
     carried: FloatArray
+
+
+def _input(step: Advance | Project) -> str:
+    """The input that it moves."""
+    return step.of.removeprefix(STATE)
 
 
 def _row(values: FloatArray, k: int) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from servogen.render.render import environment
 
 Scalar = Literal["float64", "float32"]
-Call = Literal["plain", "control", "project", "step", "pinv", "solve"]
+Call = Literal["plain", "control", "pinv", "solve"]
 Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.integer[Any]]
 
@@ -33,7 +33,7 @@ MAX_OUTPUTS = 8
 
 _ARGUMENTS: dict[str, tuple[str, ...]] = {"pinv": ("S",), "solve": ("S", "z", "y")}
 _OPTIONAL = {"y"}
-_WITH_INFO = {"control", "project", "step", "pinv", "solve"}
+_WITH_INFO = {"control", "pinv", "solve"}
 _NUMBERS_PER_LINE = 5
 
 
@@ -67,12 +67,11 @@ class EntryVectors:
 
     name: as in the C name <prefix>_<name>. call: which signature.
         plain    (model, in, output, ...)
-        control  (model, in, output, info), and so project
-        step     (model, in, dt, output, info)
+        control  (model, in, output, info), numbers before the output where there are any
         pinv     (S, output, info), with S in `arguments`
         solve    (S, z, y, output, info), with S, z and perhaps y in `arguments`; without, y is NULL
     status: (N,) expected status, ANY_ANSWER or ANY_STATUS; None stands for ANY_ANSWER throughout.
-    rank: (N,) expected rank, or ANY_RANK; None compares none. dt: in seconds, for step alone.
+    rank: (N,) expected rank, or ANY_RANK; None compares none. numbers: what control takes beside the state, dt say.
     domain: errors are measured in ulps over the first `domain` vectors; those behind them (huge, say) are judged by
     their tolerance alone. None: over all.
     """
@@ -82,7 +81,7 @@ class EntryVectors:
     outputs: tuple[OutputVectors, ...]
     status: Integers | None = None
     rank: Integers | None = None
-    dt: float | None = None
+    numbers: tuple[float, ...] = ()
     arguments: Mapping[str, Floats] = field(default_factory=dict)
     domain: int | None = None
 
@@ -331,8 +330,8 @@ def _actuals(entry: EntryVectors, scalar: Scalar) -> list[str]:
     if not entry.uses_model:
         given = [f"hv_argument_{entry.name}_{n}" if n in entry.arguments else "NULL" for n in _ARGUMENTS[entry.call]]
         return given + results
-    step = [literal(float(np.dtype(scalar).type(entry.dt)), scalar)] if entry.dt is not None else []
-    return ["&hv_model", "&in", *step, *results]
+    numbers = [literal(float(np.dtype(scalar).type(number)), scalar) for number in entry.numbers]
+    return ["&hv_model", "&in", *numbers, *results]
 
 
 def _output(entry: EntryVectors, j: int, scalar: Scalar, pool: _Pool) -> dict[str, Any]:
@@ -379,8 +378,8 @@ def _check_entry(where: str, entry: EntryVectors, vectors: VectorSet) -> None:
         raise ValueError(f"{where}: {len(entry.outputs)} outputs; give 1 to {MAX_OUTPUTS}")
     if entry.call != "plain" and len(entry.outputs) != 1:
         raise ValueError(f"{where}: the call {entry.call!r} has one output, {len(entry.outputs)} are given")
-    if (entry.call == "step") != (entry.dt is not None):
-        raise ValueError(f"{where}: dt belongs to the call 'step', and only to it")
+    if entry.numbers and entry.call != "control":
+        raise ValueError(f"{where}: numbers belong to the call 'control', and only to it")
     if entry.rank is not None and entry.call not in _WITH_INFO:
         raise ValueError(f"{where}: the call {entry.call!r} reports no rank; leave rank at None")
     _check_arguments(where, entry)

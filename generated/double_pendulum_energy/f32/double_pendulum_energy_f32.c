@@ -835,7 +835,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_
     psi[0] = t17;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_eval_S(
     const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S)
 {
@@ -846,7 +845,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_
     S[0] = in->u[0];
     S[1] = t0;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_eval_z(
     const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *z)
@@ -873,7 +871,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_eval_S_z(
     const double_pendulum_energy_f32_model *model, const double_pendulum_energy_f32_input *in, float *S, float *z)
@@ -905,7 +902,6 @@ static DOUBLE_PENDULUM_ENERGY_F32_ALWAYS_INLINE void double_pendulum_energy_f32_
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 int double_pendulum_energy_f32_prepare(const double_pendulum_energy_f32_params *params,
     double_pendulum_energy_f32_model *model)

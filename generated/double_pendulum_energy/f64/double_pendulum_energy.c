@@ -869,7 +869,6 @@ static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_psi
     psi[0] = t17;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S(
     const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S)
 {
@@ -880,7 +879,6 @@ static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S(
     S[0] = in->u[0];
     S[1] = t0;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_z(
     const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *z)
@@ -907,7 +905,6 @@ static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_z(
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S_z(
     const double_pendulum_energy_model *model, const double_pendulum_energy_input *in, double *S, double *z)
@@ -939,7 +936,6 @@ static DOUBLE_PENDULUM_ENERGY_ALWAYS_INLINE void double_pendulum_energy_eval_S_z
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 int double_pendulum_energy_prepare(const double_pendulum_energy_params *params, double_pendulum_energy_model *model)
 {

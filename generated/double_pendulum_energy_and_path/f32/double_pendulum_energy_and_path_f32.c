@@ -1049,8 +1049,8 @@ static int double_pendulum_energy_and_path_f32_consistent(const float *S, const 
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_energy_and_path_f32_qr_apply(const double_pendulum_energy_and_path_f32_qr *f,
     const float *restrict r, float *restrict x, int careful)
 {
@@ -1458,7 +1458,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     psi[1] = t20;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
     float *S, float *mass_pivot, float *mass_scale)
@@ -1496,7 +1495,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_z(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
@@ -1566,7 +1564,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_energy_and_path_f32_eval_S_z(
     const double_pendulum_energy_and_path_f32_model *model, const double_pendulum_energy_and_path_f32_input *in,
@@ -1654,7 +1651,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_F32_ALWAYS_INLINE void double_pendulum_en
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
-
 
 int double_pendulum_energy_and_path_f32_prepare(const double_pendulum_energy_and_path_f32_params *params,
     double_pendulum_energy_and_path_f32_model *model)

@@ -1082,8 +1082,8 @@ static int double_pendulum_energy_and_path_consistent(const double *S, const dou
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_energy_and_path_qr_apply(const double_pendulum_energy_and_path_qr *f,
     const double *restrict r, double *restrict x, int careful)
 {
@@ -1484,7 +1484,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     psi[1] = t20;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
     double *mass_pivot, double *mass_scale)
@@ -1522,7 +1521,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t13;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_z(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *z,
@@ -1592,7 +1590,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t32;
     mass_scale[0] = model->c5;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy_and_path_eval_S_z(
     const double_pendulum_energy_and_path_model *model, const double_pendulum_energy_and_path_input *in, double *S,
@@ -1680,7 +1677,6 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_ALWAYS_INLINE void double_pendulum_energy
     mass_pivot[0] = t33;
     mass_scale[0] = model->c5;
 }
-
 
 int double_pendulum_energy_and_path_prepare(const double_pendulum_energy_and_path_params *params,
     double_pendulum_energy_and_path_model *model)

@@ -879,7 +879,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_ener
     psi[0] = t17;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S(
     const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S)
 {
@@ -890,7 +889,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_ener
     S[0] = in->u[0];
     S[1] = t0;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_z(
     const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *z)
@@ -917,7 +915,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_ener
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S_z(
     const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S,
@@ -950,7 +947,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_ener
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_energy_free_y_f32_eval_S_z_y(
     const double_pendulum_energy_free_y_f32_model *model, const double_pendulum_energy_free_y_f32_input *in, float *S,
@@ -1025,7 +1021,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_F32_ALWAYS_INLINE void double_pendulum_ener
     y[0] = t53;
     y[1] = t52;
 }
-
 
 int double_pendulum_energy_free_y_f32_prepare(const double_pendulum_energy_free_y_f32_params *params,
     double_pendulum_energy_free_y_f32_model *model)

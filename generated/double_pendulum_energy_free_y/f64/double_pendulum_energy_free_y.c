@@ -908,7 +908,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_f
     psi[0] = t17;
 }
 
-
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_free_y_eval_S(
     const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S)
 {
@@ -919,7 +918,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_f
     S[0] = in->u[0];
     S[1] = t0;
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_free_y_eval_z(
     const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *z)
@@ -946,7 +944,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_f
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_free_y_eval_S_z(
     const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S,
@@ -979,7 +976,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_f
     /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
     z[0] = (-t17);
 }
-
 
 static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_free_y_eval_S_z_y(
     const double_pendulum_energy_free_y_model *model, const double_pendulum_energy_free_y_input *in, double *S,
@@ -1054,7 +1050,6 @@ static DOUBLE_PENDULUM_ENERGY_FREE_Y_ALWAYS_INLINE void double_pendulum_energy_f
     y[0] = t53;
     y[1] = t52;
 }
-
 
 int double_pendulum_energy_free_y_prepare(const double_pendulum_energy_free_y_params *params,
     double_pendulum_energy_free_y_model *model)

@@ -987,8 +987,8 @@ static int double_pendulum_ideal_f32_consistent(const float *S, const float *z, 
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_ideal_f32_qr_apply(const double_pendulum_ideal_f32_qr *f, const float *restrict r,
     float *restrict x, int careful)
 {
@@ -1019,7 +1019,6 @@ static void double_pendulum_ideal_f32_normal_apply(const double_pendulum_ideal_f
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
-
 
 /* x = S+ r, from the step of the ladder that held. */
 static void double_pendulum_ideal_f32_apply(const double_pendulum_ideal_f32_factors *f, const float *r, float *x,
@@ -1193,7 +1192,6 @@ static uint32_t double_pendulum_ideal_f32_reaction_biased(float x)
     word.value = x;
     return word.bits << 1 >> (DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS + 1);
 }
-
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_f32_reaction_refuse(int status, double_pendulum_ideal_f32_reaction_info *info)
@@ -1453,7 +1451,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE int double_pendulum_ideal_f32_rea
     return double_pendulum_ideal_f32_reaction_solve_values(s_0, target, y, tau, info);
 }
 
-
 /* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_ideal_f32_copy(const float *from, float *to, int n)
 {
@@ -1533,7 +1530,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_ev
     psi[0] = t21;
 }
 
-
 static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_T(
     const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *T)
 {
@@ -1558,7 +1554,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_ev
     T[2] = t6;
     T[3] = t8;
 }
-
 
 static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_F(
     const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *F)
@@ -1611,7 +1606,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_ev
     F[0] = (-t37);
     F[1] = (-t42);
 }
-
 
 static DOUBLE_PENDULUM_IDEAL_F32_ALWAYS_INLINE void double_pendulum_ideal_f32_eval_reaction_matrix_reaction_right_J(
     const double_pendulum_ideal_f32_model *model, const double_pendulum_ideal_f32_input *in, float *reaction_matrix,

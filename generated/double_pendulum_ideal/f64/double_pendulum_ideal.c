@@ -1018,8 +1018,8 @@ static int double_pendulum_ideal_consistent(const double *S, const double *z, co
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void double_pendulum_ideal_qr_apply(const double_pendulum_ideal_qr *f, const double *restrict r,
     double *restrict x, int careful)
 {
@@ -1050,7 +1050,6 @@ static void double_pendulum_ideal_normal_apply(const double_pendulum_ideal_norma
         x[j] = w[0] * B[j] + w[1] * B[j + 2];
     }
 }
-
 
 /* x = S+ r, from the step of the ladder that held. */
 static void double_pendulum_ideal_apply(const double_pendulum_ideal_factors *f, const double *r, double *x,
@@ -1223,7 +1222,6 @@ static uint64_t double_pendulum_ideal_reaction_biased(double x)
     word.value = x;
     return word.bits << 1 >> (DOUBLE_PENDULUM_IDEAL_FRACTION_BITS + 1);
 }
-
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
 static int double_pendulum_ideal_reaction_refuse(int status, double_pendulum_ideal_reaction_info *info)
@@ -1478,7 +1476,6 @@ static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE int double_pendulum_ideal_reaction_so
     return double_pendulum_ideal_reaction_solve_values(s_0, target, y, tau, info);
 }
 
-
 /* ---- the model and the constraints, as straight-line code ---- */
 static void double_pendulum_ideal_copy(const double *from, double *to, int n)
 {
@@ -1557,7 +1554,6 @@ static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_psi(
     psi[0] = t21;
 }
 
-
 static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_T(const double_pendulum_ideal_model *model,
     const double_pendulum_ideal_input *in, double *T)
 {
@@ -1582,7 +1578,6 @@ static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_T(con
     T[2] = t6;
     T[3] = t8;
 }
-
 
 static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_F(const double_pendulum_ideal_model *model,
     const double_pendulum_ideal_input *in, double *F)
@@ -1635,7 +1630,6 @@ static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_F(con
     F[0] = (-t37);
     F[1] = (-t42);
 }
-
 
 static DOUBLE_PENDULUM_IDEAL_ALWAYS_INLINE void double_pendulum_ideal_eval_reaction_matrix_reaction_right_J(
     const double_pendulum_ideal_model *model, const double_pendulum_ideal_input *in, double *reaction_matrix,

@@ -1266,8 +1266,8 @@ static int iiwa_pose_f32_consistent(const float *S, const float *z, const float 
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_pose_f32_qr_apply(const iiwa_pose_f32_qr *f, const float *restrict r, float *restrict x, int careful)
 {
     const iiwa_pose_f32_line *const p_0 = f->at[0];
@@ -1851,7 +1851,6 @@ static void iiwa_pose_f32_eval_psi(const iiwa_pose_f32_model *model, const iiwa_
     psi[4] = t181;
     psi[5] = t183;
 }
-
 
 static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S,
     float *mass_pivot, float *mass_scale)
@@ -3035,7 +3034,6 @@ static void iiwa_pose_f32_eval_S(const iiwa_pose_f32_model *model, const iiwa_po
     mass_pivot[4] = t491;
     mass_scale[4] = t1099;
 }
-
 
 static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *z,
     float *mass_pivot, float *mass_scale)
@@ -4599,7 +4597,6 @@ static void iiwa_pose_f32_eval_z(const iiwa_pose_f32_model *model, const iiwa_po
     mass_pivot[4] = t500;
     mass_scale[4] = t1515;
 }
-
 
 static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in, float *S, float *z,
     float *mass_pivot, float *mass_scale)
@@ -6576,7 +6573,6 @@ static void iiwa_pose_f32_eval_S_z(const iiwa_pose_f32_model *model, const iiwa_
     mass_scale[4] = t1792;
 }
 
-
 static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *model, const iiwa_pose_f32_input *in,
     float *S_w, float *z, float *y_w, float *recover, float *mass_pivot, float *mass_scale)
 {
@@ -8459,7 +8455,6 @@ static void iiwa_pose_f32_eval_S_w_z_y_w_recover(const iiwa_pose_f32_model *mode
     mass_pivot[4] = t500;
     mass_scale[4] = t1624;
 }
-
 
 int iiwa_pose_f32_prepare(const iiwa_pose_f32_params *params, iiwa_pose_f32_model *model)
 {

@@ -1290,8 +1290,8 @@ static int iiwa_pose_consistent(const double *S, const double *z, const double *
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_pose_qr_apply(const iiwa_pose_qr *f, const double *restrict r, double *restrict x, int careful)
 {
     const iiwa_pose_line *const p_0 = f->at[0];
@@ -1873,7 +1873,6 @@ static void iiwa_pose_eval_psi(const iiwa_pose_model *model, const iiwa_pose_inp
     psi[4] = t181;
     psi[5] = t183;
 }
-
 
 static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *mass_pivot,
     double *mass_scale)
@@ -3057,7 +3056,6 @@ static void iiwa_pose_eval_S(const iiwa_pose_model *model, const iiwa_pose_input
     mass_pivot[4] = t491;
     mass_scale[4] = t1099;
 }
-
 
 static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *z, double *mass_pivot,
     double *mass_scale)
@@ -4621,7 +4619,6 @@ static void iiwa_pose_eval_z(const iiwa_pose_model *model, const iiwa_pose_input
     mass_pivot[4] = t500;
     mass_scale[4] = t1515;
 }
-
 
 static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S, double *z,
     double *mass_pivot, double *mass_scale)
@@ -6598,7 +6595,6 @@ static void iiwa_pose_eval_S_z(const iiwa_pose_model *model, const iiwa_pose_inp
     mass_scale[4] = t1792;
 }
 
-
 static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const iiwa_pose_input *in, double *S_w,
     double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
 {
@@ -8481,7 +8477,6 @@ static void iiwa_pose_eval_S_w_z_y_w_recover(const iiwa_pose_model *model, const
     mass_pivot[4] = t500;
     mass_scale[4] = t1624;
 }
-
 
 int iiwa_pose_prepare(const iiwa_pose_params *params, iiwa_pose_model *model)
 {

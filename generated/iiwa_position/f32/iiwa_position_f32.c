@@ -1120,8 +1120,8 @@ static int iiwa_position_f32_consistent(const float *S, const float *z, const fl
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_position_f32_qr_apply(const iiwa_position_f32_qr *f, const float *restrict r, float *restrict x,
     int careful)
 {
@@ -1576,7 +1576,6 @@ static void iiwa_position_f32_eval_psi(const iiwa_position_f32_model *model, con
     psi[1] = t57;
     psi[2] = t78;
 }
-
 
 static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *S,
     float *mass_pivot, float *mass_scale)
@@ -2281,7 +2280,6 @@ static void iiwa_position_f32_eval_S(const iiwa_position_f32_model *model, const
     mass_pivot[4] = t395;
     mass_scale[4] = t639;
 }
-
 
 static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in, float *z,
     float *mass_pivot, float *mass_scale)
@@ -3333,7 +3331,6 @@ static void iiwa_position_f32_eval_z(const iiwa_position_f32_model *model, const
     mass_pivot[4] = t391;
     mass_scale[4] = t1006;
 }
-
 
 static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, const iiwa_position_f32_input *in,
     float *S, float *z, float *mass_pivot, float *mass_scale)
@@ -4592,7 +4589,6 @@ static void iiwa_position_f32_eval_S_z(const iiwa_position_f32_model *model, con
     mass_pivot[4] = t391;
     mass_scale[4] = t1142;
 }
-
 
 static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_model *model,
     const iiwa_position_f32_input *in, float *S_w, float *z, float *y_w, float *recover, float *mass_pivot,
@@ -5905,7 +5901,6 @@ static void iiwa_position_f32_eval_S_w_z_y_w_recover(const iiwa_position_f32_mod
     mass_pivot[4] = t391;
     mass_scale[4] = t1108;
 }
-
 
 int iiwa_position_f32_prepare(const iiwa_position_f32_params *params, iiwa_position_f32_model *model)
 {

@@ -1151,8 +1151,8 @@ static int iiwa_position_consistent(const double *S, const double *z, const doub
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void iiwa_position_qr_apply(const iiwa_position_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
@@ -1603,7 +1603,6 @@ static void iiwa_position_eval_psi(const iiwa_position_model *model, const iiwa_
     psi[1] = t57;
     psi[2] = t78;
 }
-
 
 static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
     double *mass_pivot, double *mass_scale)
@@ -2308,7 +2307,6 @@ static void iiwa_position_eval_S(const iiwa_position_model *model, const iiwa_po
     mass_pivot[4] = t395;
     mass_scale[4] = t639;
 }
-
 
 static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_position_input *in, double *z,
     double *mass_pivot, double *mass_scale)
@@ -3360,7 +3358,6 @@ static void iiwa_position_eval_z(const iiwa_position_model *model, const iiwa_po
     mass_pivot[4] = t391;
     mass_scale[4] = t1006;
 }
-
 
 static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_position_input *in, double *S,
     double *z, double *mass_pivot, double *mass_scale)
@@ -4619,7 +4616,6 @@ static void iiwa_position_eval_S_z(const iiwa_position_model *model, const iiwa_
     mass_pivot[4] = t391;
     mass_scale[4] = t1142;
 }
-
 
 static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *model, const iiwa_position_input *in,
     double *S_w, double *z, double *y_w, double *recover, double *mass_pivot, double *mass_scale)
@@ -5931,7 +5927,6 @@ static void iiwa_position_eval_S_w_z_y_w_recover(const iiwa_position_model *mode
     mass_pivot[4] = t391;
     mass_scale[4] = t1108;
 }
-
 
 int iiwa_position_prepare(const iiwa_position_params *params, iiwa_position_model *model)
 {

@@ -983,8 +983,8 @@ static int planar_arm_3r_f32_consistent(const float *S, const float *z, const fl
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_f32_qr_apply(const planar_arm_3r_f32_qr *f, const float *restrict r, float *restrict x,
     int careful)
 {
@@ -1362,7 +1362,6 @@ static PLANAR_ARM_3R_F32_ALWAYS_INLINE void planar_arm_3r_f32_eval_psi(const pla
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_f32_eval_S(const planar_arm_3r_f32_model *model, const planar_arm_3r_f32_input *in, float *S,
     float *mass_pivot, float *mass_scale)
 {
@@ -1520,7 +1519,6 @@ static void planar_arm_3r_f32_eval_S(const planar_arm_3r_f32_model *model, const
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_f32_eval_z(const planar_arm_3r_f32_model *model, const planar_arm_3r_f32_input *in, float *z,
     float *mass_pivot, float *mass_scale)
@@ -1812,7 +1810,6 @@ static void planar_arm_3r_f32_eval_z(const planar_arm_3r_f32_model *model, const
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_f32_eval_S_z(const planar_arm_3r_f32_model *model, const planar_arm_3r_f32_input *in,
     float *S, float *z, float *mass_pivot, float *mass_scale)
@@ -2114,7 +2111,6 @@ static void planar_arm_3r_f32_eval_S_z(const planar_arm_3r_f32_model *model, con
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_f32_prepare(const planar_arm_3r_f32_params *params, planar_arm_3r_f32_model *model)
 {

@@ -1017,8 +1017,8 @@ static int planar_arm_3r_consistent(const double *S, const double *z, const doub
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_qr_apply(const planar_arm_3r_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
@@ -1393,7 +1393,6 @@ static PLANAR_ARM_3R_ALWAYS_INLINE void planar_arm_3r_eval_psi(const planar_arm_
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
     double *mass_pivot, double *mass_scale)
 {
@@ -1551,7 +1550,6 @@ static void planar_arm_3r_eval_S(const planar_arm_3r_model *model, const planar_
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *z,
     double *mass_pivot, double *mass_scale)
@@ -1843,7 +1841,6 @@ static void planar_arm_3r_eval_z(const planar_arm_3r_model *model, const planar_
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const planar_arm_3r_input *in, double *S,
     double *z, double *mass_pivot, double *mass_scale)
@@ -2145,7 +2142,6 @@ static void planar_arm_3r_eval_S_z(const planar_arm_3r_model *model, const plana
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_prepare(const planar_arm_3r_params *params, planar_arm_3r_model *model)
 {

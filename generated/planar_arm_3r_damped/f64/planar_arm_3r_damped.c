@@ -1028,8 +1028,8 @@ static int planar_arm_3r_damped_consistent(const double *S, const double *z, con
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_damped_qr_apply(const planar_arm_3r_damped_qr *f, const double *restrict r,
     double *restrict x, int careful)
 {
@@ -1410,7 +1410,6 @@ static PLANAR_ARM_3R_DAMPED_ALWAYS_INLINE void planar_arm_3r_damped_eval_psi(con
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_damped_eval_S(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in,
     double *S, double *mass_pivot, double *mass_scale)
 {
@@ -1568,7 +1567,6 @@ static void planar_arm_3r_damped_eval_S(const planar_arm_3r_damped_model *model,
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_damped_eval_z(const planar_arm_3r_damped_model *model, const planar_arm_3r_damped_input *in,
     double *z, double *mass_pivot, double *mass_scale)
@@ -1860,7 +1858,6 @@ static void planar_arm_3r_damped_eval_z(const planar_arm_3r_damped_model *model,
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_damped_eval_S_z(const planar_arm_3r_damped_model *model,
     const planar_arm_3r_damped_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
@@ -2162,7 +2159,6 @@ static void planar_arm_3r_damped_eval_S_z(const planar_arm_3r_damped_model *mode
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_damped_eval_S_z_y(const planar_arm_3r_damped_model *model,
     const planar_arm_3r_damped_input *in, double *S, double *z, double *y, double *mass_pivot, double *mass_scale)
@@ -2472,7 +2468,6 @@ static void planar_arm_3r_damped_eval_S_z_y(const planar_arm_3r_damped_model *mo
     mass_pivot[2] = t100;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_damped_prepare(const planar_arm_3r_damped_params *params, planar_arm_3r_damped_model *model)
 {

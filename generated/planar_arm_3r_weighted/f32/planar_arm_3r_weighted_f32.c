@@ -1001,8 +1001,8 @@ static int planar_arm_3r_weighted_f32_consistent(const float *S, const float *z,
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_weighted_f32_qr_apply(const planar_arm_3r_weighted_f32_qr *f, const float *restrict r,
     float *restrict x, int careful)
 {
@@ -1390,7 +1390,6 @@ static PLANAR_ARM_3R_WEIGHTED_F32_ALWAYS_INLINE void planar_arm_3r_weighted_f32_
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_model *model,
     const planar_arm_3r_weighted_f32_input *in, float *S, float *mass_pivot, float *mass_scale)
 {
@@ -1548,7 +1547,6 @@ static void planar_arm_3r_weighted_f32_eval_S(const planar_arm_3r_weighted_f32_m
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_model *model,
     const planar_arm_3r_weighted_f32_input *in, float *z, float *mass_pivot, float *mass_scale)
@@ -1832,7 +1830,6 @@ static void planar_arm_3r_weighted_f32_eval_z(const planar_arm_3r_weighted_f32_m
     mass_pivot[2] = t93;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32_model *model,
     const planar_arm_3r_weighted_f32_input *in, float *S, float *z, float *mass_pivot, float *mass_scale)
@@ -2157,7 +2154,6 @@ static void planar_arm_3r_weighted_f32_eval_S_z(const planar_arm_3r_weighted_f32
     mass_scale[2] = model->c8;
 }
 
-
 static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_weighted_f32_model *model,
     const planar_arm_3r_weighted_f32_input *in, float *S_w, float *z, float *recover, float *mass_pivot,
     float *mass_scale)
@@ -2476,7 +2472,6 @@ static void planar_arm_3r_weighted_f32_eval_S_w_z_recover(const planar_arm_3r_we
     mass_pivot[2] = t93;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_weighted_f32_prepare(const planar_arm_3r_weighted_f32_params *params,
     planar_arm_3r_weighted_f32_model *model)

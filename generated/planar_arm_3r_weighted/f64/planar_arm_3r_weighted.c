@@ -1032,8 +1032,8 @@ static int planar_arm_3r_weighted_consistent(const double *S, const double *z, c
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void planar_arm_3r_weighted_qr_apply(const planar_arm_3r_weighted_qr *f, const double *restrict r,
     double *restrict x, int careful)
 {
@@ -1416,7 +1416,6 @@ static PLANAR_ARM_3R_WEIGHTED_ALWAYS_INLINE void planar_arm_3r_weighted_eval_psi
     psi[1] = t16;
 }
 
-
 static void planar_arm_3r_weighted_eval_S(const planar_arm_3r_weighted_model *model,
     const planar_arm_3r_weighted_input *in, double *S, double *mass_pivot, double *mass_scale)
 {
@@ -1574,7 +1573,6 @@ static void planar_arm_3r_weighted_eval_S(const planar_arm_3r_weighted_model *mo
     mass_pivot[2] = t94;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_weighted_eval_z(const planar_arm_3r_weighted_model *model,
     const planar_arm_3r_weighted_input *in, double *z, double *mass_pivot, double *mass_scale)
@@ -1858,7 +1856,6 @@ static void planar_arm_3r_weighted_eval_z(const planar_arm_3r_weighted_model *mo
     mass_pivot[2] = t93;
     mass_scale[2] = model->c8;
 }
-
 
 static void planar_arm_3r_weighted_eval_S_z(const planar_arm_3r_weighted_model *model,
     const planar_arm_3r_weighted_input *in, double *S, double *z, double *mass_pivot, double *mass_scale)
@@ -2183,7 +2180,6 @@ static void planar_arm_3r_weighted_eval_S_z(const planar_arm_3r_weighted_model *
     mass_scale[2] = model->c8;
 }
 
-
 static void planar_arm_3r_weighted_eval_S_w_z_recover(const planar_arm_3r_weighted_model *model,
     const planar_arm_3r_weighted_input *in, double *S_w, double *z, double *recover, double *mass_pivot,
     double *mass_scale)
@@ -2502,7 +2498,6 @@ static void planar_arm_3r_weighted_eval_S_w_z_recover(const planar_arm_3r_weight
     mass_pivot[2] = t93;
     mass_scale[2] = model->c8;
 }
-
 
 int planar_arm_3r_weighted_prepare(const planar_arm_3r_weighted_params *params, planar_arm_3r_weighted_model *model)
 {

@@ -973,8 +973,8 @@ static int quaternion_pointing_f32_consistent(const float *S, const float *z, co
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void quaternion_pointing_f32_qr_apply(const quaternion_pointing_f32_qr *f, const float *restrict r,
     float *restrict x, int careful)
 {
@@ -1359,7 +1359,6 @@ static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_p
     psi[2] = in->u[2];
 }
 
-
 static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_S(
     const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *S)
 {
@@ -1395,7 +1394,6 @@ static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_S
     S[7] = 0.0f;
     S[8] = model->c2;
 }
-
 
 static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_z(
     const quaternion_pointing_f32_model *model, const quaternion_pointing_f32_input *in, float *z)
@@ -1464,7 +1462,6 @@ static QUATERNION_POINTING_F32_ALWAYS_INLINE void quaternion_pointing_f32_eval_z
     z[1] = t53;
     z[2] = t57;
 }
-
 
 static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model *model,
     const quaternion_pointing_f32_input *in, float *S, float *z)
@@ -1558,7 +1555,6 @@ static void quaternion_pointing_f32_eval_S_z(const quaternion_pointing_f32_model
     z[1] = t59;
     z[2] = t63;
 }
-
 
 int quaternion_pointing_f32_prepare(const quaternion_pointing_f32_params *params, quaternion_pointing_f32_model *model)
 {

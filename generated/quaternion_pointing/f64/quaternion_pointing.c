@@ -966,8 +966,8 @@ static int quaternion_pointing_consistent(const double *S, const double *z, cons
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void quaternion_pointing_qr_apply(const quaternion_pointing_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
@@ -1350,7 +1350,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_psi(const
     psi[2] = in->u[2];
 }
 
-
 static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_S(const quaternion_pointing_model *model,
     const quaternion_pointing_input *in, double *S)
 {
@@ -1386,7 +1385,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_S(const q
     S[7] = 0.0;
     S[8] = model->c2;
 }
-
 
 static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_z(const quaternion_pointing_model *model,
     const quaternion_pointing_input *in, double *z)
@@ -1455,7 +1453,6 @@ static QUATERNION_POINTING_ALWAYS_INLINE void quaternion_pointing_eval_z(const q
     z[1] = t53;
     z[2] = t57;
 }
-
 
 static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model, const quaternion_pointing_input *in,
     double *S, double *z)
@@ -1549,7 +1546,6 @@ static void quaternion_pointing_eval_S_z(const quaternion_pointing_model *model,
     z[1] = t59;
     z[2] = t63;
 }
-
 
 int quaternion_pointing_prepare(const quaternion_pointing_params *params, quaternion_pointing_model *model)
 {

@@ -1102,8 +1102,8 @@ static int skewed_thrusters_f32_consistent(const float *S, const float *z, const
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void skewed_thrusters_f32_qr_apply(const skewed_thrusters_f32_qr *f, const float *restrict r, float *restrict x,
     int careful)
 {
@@ -1154,7 +1154,6 @@ static void skewed_thrusters_f32_normal_apply(const skewed_thrusters_f32_normal 
             + w[5] * B[j + 40];
     }
 }
-
 
 /* x = S+ r, from the step of the ladder that held. */
 static void skewed_thrusters_f32_apply(const skewed_thrusters_f32_factors *f, const float *r, float *x, int careful)
@@ -1295,7 +1294,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_psi(con
     psi[5] = t5;
 }
 
-
 static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_S(const skewed_thrusters_f32_model *model,
     const skewed_thrusters_f32_input *in, float *S)
 {
@@ -1351,7 +1349,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_S(const
     S[47] = model->c17;
 }
 
-
 static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_z(const skewed_thrusters_f32_model *model,
     const skewed_thrusters_f32_input *in, float *z)
 {
@@ -1403,7 +1400,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_z(const
     z[4] = t33;
     z[5] = t38;
 }
-
 
 static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_S_z(const skewed_thrusters_f32_model *model,
     const skewed_thrusters_f32_input *in, float *S, float *z)
@@ -1506,7 +1502,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_S_z(con
     z[5] = t38;
 }
 
-
 static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_z_y(const skewed_thrusters_f32_model *model,
     const skewed_thrusters_f32_input *in, float *z, float *y)
 {
@@ -1568,7 +1563,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_z_y(con
     y[7] = 0.5f;
 }
 
-
 static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_known_S(
     const skewed_thrusters_f32_model *model, const skewed_thrusters_f32_input *in, float *S)
 {
@@ -1623,7 +1617,6 @@ static SKEWED_THRUSTERS_F32_ALWAYS_INLINE void skewed_thrusters_f32_eval_known_S
     S[46] = model->c16;
     S[47] = model->c17;
 }
-
 
 int skewed_thrusters_f32_prepare(const skewed_thrusters_f32_params *params, skewed_thrusters_f32_model *model)
 {

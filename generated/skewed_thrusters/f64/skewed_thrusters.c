@@ -1091,8 +1091,8 @@ static int skewed_thrusters_consistent(const double *S, const double *z, const d
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void skewed_thrusters_qr_apply(const skewed_thrusters_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
@@ -1143,7 +1143,6 @@ static void skewed_thrusters_normal_apply(const skewed_thrusters_normal *f, cons
             + w[5] * B[j + 40];
     }
 }
-
 
 /* x = S+ r, from the step of the ladder that held. */
 static void skewed_thrusters_apply(const skewed_thrusters_factors *f, const double *r, double *x, int careful)
@@ -1284,7 +1283,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_psi(const skewe
     psi[5] = t5;
 }
 
-
 static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S(const skewed_thrusters_model *model,
     const skewed_thrusters_input *in, double *S)
 {
@@ -1340,7 +1338,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S(const skewed_
     S[47] = model->c17;
 }
 
-
 static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z(const skewed_thrusters_model *model,
     const skewed_thrusters_input *in, double *z)
 {
@@ -1392,7 +1389,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z(const skewed_
     z[4] = t33;
     z[5] = t38;
 }
-
 
 static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S_z(const skewed_thrusters_model *model,
     const skewed_thrusters_input *in, double *S, double *z)
@@ -1495,7 +1491,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_S_z(const skewe
     z[5] = t38;
 }
 
-
 static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z_y(const skewed_thrusters_model *model,
     const skewed_thrusters_input *in, double *z, double *y)
 {
@@ -1557,7 +1552,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_z_y(const skewe
     y[7] = 0.5;
 }
 
-
 static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_known_S(const skewed_thrusters_model *model,
     const skewed_thrusters_input *in, double *S)
 {
@@ -1612,7 +1606,6 @@ static SKEWED_THRUSTERS_ALWAYS_INLINE void skewed_thrusters_eval_known_S(const s
     S[46] = model->c16;
     S[47] = model->c17;
 }
-
 
 int skewed_thrusters_prepare(const skewed_thrusters_params *params, skewed_thrusters_model *model)
 {

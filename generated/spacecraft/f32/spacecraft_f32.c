@@ -684,7 +684,6 @@ static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_phi(const spacecraf
     phi[0] = t19;
 }
 
-
 static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_A(const spacecraft_f32_model *model,
     const spacecraft_f32_input *in, float *A)
 {
@@ -697,7 +696,6 @@ static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_A(const spacecraft_
     A[1] = t1;
     A[2] = t2;
 }
-
 
 static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_B(const spacecraft_f32_model *model,
     const spacecraft_f32_input *in, float *B)
@@ -732,7 +730,6 @@ static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_B(const spacecraft_
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_A_B(const spacecraft_f32_model *model,
     const spacecraft_f32_input *in, float *A, float *B)
@@ -777,7 +774,6 @@ static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_A_B(const spacecraf
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_F32_ALWAYS_INLINE void spacecraft_f32_eval_phi_A(const spacecraft_f32_model *model,
     const spacecraft_f32_input *in, float *phi, float *A)

@@ -679,7 +679,6 @@ static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_phi(const spacecraft_model 
     phi[0] = t19;
 }
 
-
 static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A(const spacecraft_model *model, const spacecraft_input *in,
     double *A)
 {
@@ -692,7 +691,6 @@ static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A(const spacecraft_model *m
     A[1] = t1;
     A[2] = t2;
 }
-
 
 static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_B(const spacecraft_model *model, const spacecraft_input *in,
     double *B)
@@ -727,7 +725,6 @@ static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_B(const spacecraft_model *m
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A_B(const spacecraft_model *model, const spacecraft_input *in,
     double *A, double *B)
@@ -772,7 +769,6 @@ static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_A_B(const spacecraft_model 
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_ALWAYS_INLINE void spacecraft_eval_phi_A(const spacecraft_model *model, const spacecraft_input *in,
     double *phi, double *A)

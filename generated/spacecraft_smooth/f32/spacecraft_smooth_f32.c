@@ -702,7 +702,6 @@ static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_phi(
     phi[0] = t19;
 }
 
-
 static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A(const spacecraft_smooth_f32_model *model,
     const spacecraft_smooth_f32_input *in, float *A)
 {
@@ -715,7 +714,6 @@ static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A(con
     A[1] = t1;
     A[2] = t2;
 }
-
 
 static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_B(const spacecraft_smooth_f32_model *model,
     const spacecraft_smooth_f32_input *in, float *B)
@@ -750,7 +748,6 @@ static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_B(con
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B(
     const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B)
@@ -795,7 +792,6 @@ static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B(
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B_y(
     const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *A, float *B, float *y)
@@ -844,7 +840,6 @@ static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_A_B_y
     y[1] = (-in->tau[1]);
     y[2] = (-in->tau[2]);
 }
-
 
 static SPACECRAFT_SMOOTH_F32_ALWAYS_INLINE void spacecraft_smooth_f32_eval_phi_A(
     const spacecraft_smooth_f32_model *model, const spacecraft_smooth_f32_input *in, float *phi, float *A)

@@ -695,7 +695,6 @@ static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_phi(const spa
     phi[0] = t19;
 }
 
-
 static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A(const spacecraft_smooth_model *model,
     const spacecraft_smooth_input *in, double *A)
 {
@@ -708,7 +707,6 @@ static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A(const space
     A[1] = t1;
     A[2] = t2;
 }
-
 
 static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_B(const spacecraft_smooth_model *model,
     const spacecraft_smooth_input *in, double *B)
@@ -743,7 +741,6 @@ static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_B(const space
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A_B(const spacecraft_smooth_model *model,
     const spacecraft_smooth_input *in, double *A, double *B)
@@ -788,7 +785,6 @@ static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A_B(const spa
     /* B = -phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t, Eq. (40) */
     B[0] = (-t25);
 }
-
 
 static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A_B_y(const spacecraft_smooth_model *model,
     const spacecraft_smooth_input *in, double *A, double *B, double *y)
@@ -837,7 +833,6 @@ static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_A_B_y(const s
     y[1] = (-in->tau[1]);
     y[2] = (-in->tau[2]);
 }
-
 
 static SPACECRAFT_SMOOTH_ALWAYS_INLINE void spacecraft_smooth_eval_phi_A(const spacecraft_smooth_model *model,
     const spacecraft_smooth_input *in, double *phi, double *A)

@@ -983,8 +983,8 @@ static int unicycle_path_f32_consistent(const float *S, const float *z, const fl
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void unicycle_path_f32_qr_apply(const unicycle_path_f32_qr *f, const float *restrict r, float *restrict x,
     int careful)
 {
@@ -1365,7 +1365,6 @@ static UNICYCLE_PATH_F32_ALWAYS_INLINE void unicycle_path_f32_eval_psi(const uni
     psi[1] = t10;
 }
 
-
 static UNICYCLE_PATH_F32_ALWAYS_INLINE void unicycle_path_f32_eval_S(const unicycle_path_f32_model *model,
     const unicycle_path_f32_input *in, float *S)
 {
@@ -1402,7 +1401,6 @@ static UNICYCLE_PATH_F32_ALWAYS_INLINE void unicycle_path_f32_eval_S(const unicy
     S[2] = model->c1;
     S[3] = model->c1;
 }
-
 
 static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in, float *z)
 {
@@ -1473,7 +1471,6 @@ static void unicycle_path_f32_eval_z(const unicycle_path_f32_model *model, const
     z[0] = t61;
     z[1] = t58;
 }
-
 
 static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, const unicycle_path_f32_input *in,
     float *S, float *z)
@@ -1570,7 +1567,6 @@ static void unicycle_path_f32_eval_S_z(const unicycle_path_f32_model *model, con
     z[0] = t65;
     z[1] = t62;
 }
-
 
 int unicycle_path_f32_prepare(const unicycle_path_f32_params *params, unicycle_path_f32_model *model)
 {

@@ -1017,8 +1017,8 @@ static int unicycle_path_consistent(const double *S, const double *z, const doub
     return met;
 }
 
-/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about u kappa only; taking back what each finds of the
-   others makes the answer as good as if they were (Bjoerck 1994). */
+/* x = S+ r from the QR. `careful`: the pivots are orthogonal to about eps kappa only; taking back what each finds of
+   the others makes the answer as good as if they were (Bjoerck 1994). */
 static void unicycle_path_qr_apply(const unicycle_path_qr *f, const double *restrict r, double *restrict x,
     int careful)
 {
@@ -1396,7 +1396,6 @@ static UNICYCLE_PATH_ALWAYS_INLINE void unicycle_path_eval_psi(const unicycle_pa
     psi[1] = t10;
 }
 
-
 static UNICYCLE_PATH_ALWAYS_INLINE void unicycle_path_eval_S(const unicycle_path_model *model,
     const unicycle_path_input *in, double *S)
 {
@@ -1433,7 +1432,6 @@ static UNICYCLE_PATH_ALWAYS_INLINE void unicycle_path_eval_S(const unicycle_path
     S[2] = model->c1;
     S[3] = model->c1;
 }
-
 
 static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycle_path_input *in, double *z)
 {
@@ -1504,7 +1502,6 @@ static void unicycle_path_eval_z(const unicycle_path_model *model, const unicycl
     z[0] = t61;
     z[1] = t58;
 }
-
 
 static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicycle_path_input *in, double *S,
     double *z)
@@ -1601,7 +1598,6 @@ static void unicycle_path_eval_S_z(const unicycle_path_model *model, const unicy
     z[0] = t65;
     z[1] = t62;
 }
-
 
 int unicycle_path_prepare(const unicycle_path_params *params, unicycle_path_model *model)
 {

@@ -15,7 +15,7 @@ from servogen.loading import load_scene, scene_module
 from servogen.optimise.search import SEARCH
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
-from servogen.urdf.robot import load
+from servogen.urdf.load import load
 
 OUTPUTS = (Output.SYSTEM, Output.ANSWER)
 NAIVE = "CasADi"
@@ -53,8 +53,7 @@ class Peers:
             if self._adam is not None and load(self.module.ROBOT_FILE, quiet=True).notes:
                 self.remarks.append(AS_WRITTEN)
         for name, cse, ldlt in ((NAIVE, False, False), (BASELINE, True, False), (f"{BASELINE}, LDL^T", True, True)):
-            if not ldlt or not (scene.system.matrix_is_given or scene.system.tau_is_state):
-                found.append(casadi_c(rival, inputs, capacity, name, cse, outputs=OUTPUTS, ldlt=ldlt))
+            found.append(casadi_c(rival, inputs, capacity, name, cse, outputs=OUTPUTS, ldlt=ldlt))
         found += self._if_present(lambda: [sympy_c(scene, inputs, capacity)])
         if hasattr(self.module, "scene_of"):
             found += self._if_present(lambda: [pinocchio_c(self.module, inputs, capacity, self.flags)])

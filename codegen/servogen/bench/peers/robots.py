@@ -21,7 +21,7 @@ from servogen.bench.contenders import Call, CContender, keep_states
 from servogen.bench.driver import compiler_version
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Output
-from servogen.scene.constraints import Holonomic
+from servogen.scene.constraints import theta_parts
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
@@ -104,7 +104,7 @@ def _source(module: ModuleType) -> str:
         raise ToolMissing("Pinocchio is not installed; pip install 'servogen[peers]'") from None
     model = pin.buildModelFromUrdf(str(module.ROBOT_FILE))
     (constraint,) = module.scene.constraints
-    assert isinstance(constraint, Holonomic)
+    gains = theta_parts(constraint)
     bodies = []
     for k in range(1, model.njoints):
         inertia = model.inertias[k]
@@ -127,8 +127,8 @@ def _source(module: ModuleType) -> str:
         frame={"parent": int(end.parentJoint)} | _placed(end.placement),
         gravity=_numbers(np.array(_GRAVITY)),
         rates="r_dot" in [f.name for f in module.scene.input_fields()],
-        Theta1=repr(float(constraint.Theta1[0, 0])),
-        Theta2=repr(float(constraint.Theta2[0, 0])),
+        Theta1=repr(float(gains["Theta1"][0, 0])),
+        Theta2=repr(float(gains["Theta2"][0, 0])),
     )
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from servogen.bench.plot import PARETO, pareto
-from servogen.bench.solver.precision import Point, Precision
+from servogen.bench.solver.work_precision import Point, WorkPrecision
 
 STYLES: dict[str, tuple[str, str]] = {
     "servogen auto": ("*", "#b3261e"),
@@ -38,7 +38,7 @@ TOP = 1e8
 """Errors beyond, and answers that are not finite, stand at the upper edge."""
 
 
-def draw(found: Precision, folder: Path) -> dict[tuple[str, str], Path]:
+def draw(found: WorkPrecision, folder: Path) -> dict[tuple[str, str], Path]:
     """One SVG and PNG a shape and scalar, in `folder`; (shape, scalar) -> the SVG."""
     folder.mkdir(parents=True, exist_ok=True)
     paths: dict[tuple[str, str], Path] = {}
@@ -52,12 +52,12 @@ def draw(found: Precision, folder: Path) -> dict[tuple[str, str], Path]:
     return paths
 
 
-def shown(found: Precision, shape: str, scalar: str) -> list[float]:
+def shown(found: WorkPrecision, shape: str, scalar: str) -> list[float]:
     """The conditions that get a panel: every other decade, from 1 on."""
     return sorted({p.kappa for p in found.points if (p.shape, p.scalar) == (shape, scalar)})[::2]
 
 
-def _figure(found: Precision, shape: str, scalar: str) -> Figure:
+def _figure(found: WorkPrecision, shape: str, scalar: str) -> Figure:
     conditions = shown(found, shape, scalar)
     own = [p for p in found.points if (p.shape, p.scalar) == (shape, scalar)]
     rows = 2 * -(-len(conditions) // 4)
@@ -65,7 +65,7 @@ def _figure(found: Precision, shape: str, scalar: str) -> Figure:
     figure = Figure(figsize=(3.6 * columns + 0.8, 3.1 * rows + 1.9))
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, squeeze=False)
-    for half, (measure, label) in enumerate((("error", "error / (u κ ‖τ‖)"), ("relative", "error / ‖τ‖"))):
+    for half, (measure, label) in enumerate((("error", "error / (eps κ ‖τ‖)"), ("relative", "error / ‖τ‖"))):
         limits = _limits([getattr(p, measure) for p in own])
         for k in range(rows // 2 * columns):
             axes = panels[half * rows // 2 + k // columns, k % columns]

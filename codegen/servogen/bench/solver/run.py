@@ -30,7 +30,7 @@ NAMES = ("auto", "auto with info", "forced svd", "COD", "JacobiSVD", "gelsd", "g
 RANDOM_BARS = {"COD": 6.0, "JacobiSVD": 9.0, "gelsd": 20.0}  # times faster than these, on the NORMAL rung
 CONDITIONED_BARS = {"COD": 3.0, "JacobiSVD": 5.0, "gelsd": 12.0}  # on the QR rung
 FORCED_BAR, FORCED_BAR_2x3 = 1.8, 3.0  # times faster than JacobiSVD
-ERROR_BAR, RIVAL_BAR = 4.0, 1.5  # u kappa; times the best rival's
+ERROR_BAR, RIVAL_BAR = 4.0, 1.5  # eps kappa; times the best rival's
 
 
 def systems(m: int, l: int, scalar: Scalar, kappa: float, generator: Any) -> Any:
@@ -70,8 +70,8 @@ def build(
     return program
 
 
-def errors(S: Any, z: Any, tau: Any, u: float) -> Any:
-    """Largest error / (u kappa |tau|), and largest relative error, against exact rationals."""
+def errors(S: Any, z: Any, tau: Any, eps: float) -> Any:
+    """Largest error / (eps kappa |tau|), and largest relative error, against exact rationals."""
     scaled, plain = [], []
     for s, b, t in zip(S, z, tau, strict=True):
         if not np.isfinite(t).all():
@@ -80,7 +80,7 @@ def errors(S: Any, z: Any, tau: Any, u: float) -> Any:
         right = exact.solution(matrix, exact.pinv_full(matrix), exact.rational(b))
         size = float(np.linalg.norm(exact.nearest(right)))
         miss = float(np.linalg.norm(exact.difference(t, right))) / size
-        scaled.append(miss / (u * np.linalg.cond(s.astype(float))))
+        scaled.append(miss / (eps * np.linalg.cond(s.astype(float))))
         plain.append(miss)
     return max(scaled), max(plain)
 
@@ -152,7 +152,7 @@ def shortfalls(row: Any) -> list[str]:
     found = [f"{where}: {what} {ratio:.2f}, the bar is {bar:g}" for what, ratio, bar in ratios if ratio < bar]
     rival = min(results[name]["error"] for name in ("COD", "JacobiSVD", "gelsd", "gelsy", "gesvj"))
     if ours["error"] > min(ERROR_BAR, RIVAL_BAR * rival):
-        found.append(f"{where}: error {ours['error']:.3g} u kappa, the best rival's is {rival:.3g}")
+        found.append(f"{where}: error {ours['error']:.3g} eps kappa, the best rival's is {rival:.3g}")
     return found
 
 
@@ -163,7 +163,7 @@ def show(row: Any) -> None:
     for name, r in results.items():
         count = f"{r['instructions']:8.0f} instr" if r.get("instructions") else ""
         print(f"   {name:22s}{r['best']:8.0f} ns best {r['median']:8.0f} med  /auto {r['best'] / ours:6.2f}"
-              f"  /svd {r['best'] / forced:5.2f}  error {r['error']:8.3g} u kappa {count}", flush=True)  # fmt: skip
+              f"  /svd {r['best'] / forced:5.2f}  error {r['error']:8.3g} eps kappa {count}", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 """
 
 from servogen.verify.stress.bars import BARS
-from servogen.verify.stress.campaign import stress, tasks
 from servogen.verify.stress.families import FAMILIES, SHAPES
 from servogen.verify.stress.report import StressReport, StressRow
+from servogen.verify.stress.tasks import stress, tasks
 
 __all__ = ["BARS", "FAMILIES", "SHAPES", "StressReport", "StressRow", "stress", "tasks"]

@@ -64,7 +64,7 @@ class Bench:
 
     def __init__(self, task: Task, make: MakeTwin, solver: Solver) -> None:
         self.task, self.solver = task, solver
-        self.u = EPSILON[task.scalar]
+        self.eps = EPSILON[task.scalar]
         self.dtype = np.dtype(task.scalar)
         self.plan: SolverPlan = plan_solver(task.m, task.l, task.scalar, solver)
         self._make = make

@@ -15,7 +15,7 @@ from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import find_tool
-from servogen.verify.stress.truth import norm2
+from servogen.verify.stress.rationals import norm2
 
 SOURCE = Path(__file__).with_name("core.c")
 
@@ -54,8 +54,8 @@ def decompose(S: FloatArray, scalar: Scalar) -> tuple[FloatArray, FloatArray, Fl
     return U, sigma, V, rank
 
 
-def ratios(S: FloatArray, scalar: Scalar, u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """|S - U s V^T| / (|S| max(m, l) u), |I - U^T U| / (m u), |I - V^T V| / (l u) of the singular values kept."""
+def ratios(S: FloatArray, scalar: Scalar, eps: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """|S - U s V^T| / (|S| max(m, l) eps), |I - U^T U| / (m eps), |I - V^T V| / (l eps) of the singular values kept."""
     m, l = S.shape[1:]
     U, sigma, V, rank = decompose(S, scalar)
     unit = np.abs(S).max(axis=(1, 2), keepdims=True).astype(np.longdouble)
@@ -69,7 +69,7 @@ def ratios(S: FloatArray, scalar: Scalar, u: float) -> tuple[FloatArray, FloatAr
 
     whole = size(A)
     return (
-        size(A - product) / (np.where(whole > 0, whole, 1.0) * max(m, l) * u),
-        size(u_rows @ u_rows.transpose(0, 2, 1) - kept) / (m * u),
-        size(v_rows @ v_rows.transpose(0, 2, 1) - kept) / (l * u),
+        size(A - product) / (np.where(whole > 0, whole, 1.0) * max(m, l) * eps),
+        size(u_rows @ u_rows.transpose(0, 2, 1) - kept) / (m * eps),
+        size(v_rows @ v_rows.transpose(0, 2, 1) - kept) / (l * eps),
     )

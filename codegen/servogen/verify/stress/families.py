@@ -10,7 +10,6 @@ from numpy.random import Generator
 from servogen import exact
 from servogen.results import FloatArray, Status
 from servogen.scene.solver import Solver
-from servogen.verify.certificates import certificates
 from servogen.verify.stress import core
 from servogen.verify.stress.bars import (
     BITS,
@@ -36,9 +35,10 @@ from servogen.verify.stress.bars import (
 )
 from servogen.verify.stress.bench import Bench, MakeTwin, Task, answers
 from servogen.verify.stress.compilers import complaints
+from servogen.verify.stress.false_certificates import false_certificates
 from servogen.verify.stress.matrices import classical, integer_factors, nearly_deficient, spectra, with_spectra
+from servogen.verify.stress.rationals import accuracy, decided_exactly, error, length, over
 from servogen.verify.stress.regressions import REGRESSIONS
-from servogen.verify.stress.truth import accuracy, decided_exactly, error, length, over
 
 _SQUARE = ((2, 2), (3, 3), (12, 12))
 SHAPES = ((1, 2), (1, 3), (1, 12), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12), *_SQUARE, (3, 2), (7, 3), (12, 11), (4, 1))
@@ -86,7 +86,7 @@ def _full_rank(task: Task, bench: Bench, S: FloatArray, generator: Generator) ->
 
 
 def _largest_condition(task: Task, bench: Bench) -> float:
-    return 0.1 / (max(task.m, task.l) * bench.u)
+    return 0.1 / (max(task.m, task.l) * bench.eps)
 
 
 def _spectra(task: Task, bench: Bench) -> Iterator[Figure]:
@@ -111,7 +111,7 @@ def _taken_away(task: Task, bench: Bench) -> Iterator[Figure]:
 
 
 def _classical(task: Task, bench: Bench) -> Iterator[Figure]:
-    """Those worse than 0.1 / (max(m, l) u) are left out."""
+    """Those worse than 0.1 / (max(m, l) eps) are left out."""
     generator = task.generator()
     most = _largest_condition(task, bench)
     kept: list[FloatArray] = []
@@ -145,7 +145,7 @@ def _graded(task: Task, bench: Bench) -> Iterator[Figure]:
         truth = exact.solution(s, exact.pinv_full(s), exact.rational(z[i]))
         right[i], miss[i] = exact.nearest(truth)[:, 0], error(tau[i], truth)[:, 0]
     kappa = np.linalg.cond(S.astype(np.float64) / np.abs(S).max(axis=2, keepdims=True))
-    yield figure(GRADED, over(length(miss), bench.u * kappa * length(right)))
+    yield figure(GRADED, over(length(miss), bench.eps * kappa * length(right)))
 
 
 def _scaled(task: Task, bench: Bench) -> Iterator[Figure]:
@@ -249,9 +249,9 @@ def _against(
         right[i], miss[i] = exact.nearest(answer)[:, 0], error(tau[i], answer)[:, 0]
         pinv[i], off[i] = exact.nearest(truth), error(X[i], truth)
     kappa = np.linalg.norm(S, 2, axis=(1, 2)) * np.linalg.norm(pinv, 2, axis=(1, 2))
-    yield figure(TAU_R, over(length(miss), bench.u * kappa * length(right)))
+    yield figure(TAU_R, over(length(miss), bench.eps * kappa * length(right)))
     size = np.linalg.norm(pinv, 2, axis=(1, 2))
-    yield figure(PINV_R, over(np.linalg.norm(off, 2, axis=(1, 2)), bench.u * kappa * size))
+    yield figure(PINV_R, over(np.linalg.norm(off, 2, axis=(1, 2)), bench.eps * kappa * size))
 
 
 def _degenerate_rows(task: Task, bench: Bench) -> Iterator[Figure]:
@@ -364,7 +364,7 @@ def _extremes(task: Task, bench: Bench) -> Iterator[Figure]:
         rest[i] = exact.nearest(zi - s * answer)[:, 0] if m > l else 0.0
     kappa = np.linalg.cond(plain)
     scale = length(right) + kappa * length(rest) / np.linalg.norm(plain, 2, axis=(1, 2))
-    yield figure(TAU if m <= l else TAU_LS, over(length(miss), bench.u * kappa * scale))
+    yield figure(TAU if m <= l else TAU_LS, over(length(miss), bench.eps * kappa * scale))
 
 
 def _nonfinite(task: Task, bench: Bench) -> Iterator[Figure]:
@@ -404,14 +404,14 @@ def _subnormal(task: Task, bench: Bench) -> Iterator[Figure]:
 
 
 def _core(task: Task, bench: Bench) -> Iterator[Figure]:
-    """The SVD inside, as ddrvbd: every spectrum to kappa 1 / u, zero matrices, identities, near over- and underflow."""
+    """The SVD inside, as ddrvbd: every spectrum to kappa 1 / eps, zeros, identities, near over- and underflow."""
     generator = task.generator()
     N, m, l = task.systems, task.m, task.l
-    S = bench.round(with_spectra(m, l, spectra(N, min(m, l), 1 / bench.u, generator), generator))
+    S = bench.round(with_spectra(m, l, spectra(N, min(m, l), 1 / bench.eps, generator), generator))
     S[0::20], S[1::20] = 0.0, np.eye(m, l)
     reach = np.finfo(bench.dtype).maxexp - 4
     S = np.ldexp(S, np.array([0, 0, 0, reach, -reach // 2])[np.arange(N) % 5][:, None, None])
-    for quantity, ratios in zip((SVD_BACK, SVD_LEFT, SVD_RIGHT), core.ratios(S, task.scalar, bench.u), strict=True):
+    for quantity, ratios in zip((SVD_BACK, SVD_LEFT, SVD_RIGHT), core.ratios(S, task.scalar, bench.eps), strict=True):
         yield figure(quantity, ratios)
 
 
@@ -426,10 +426,10 @@ def _sweeps(task: Task, bench: Bench) -> Iterator[Figure]:
         g.integers(-1, 2, (n, m, l)),
         g.integers(-3, 4, (n, m, 1)) * g.integers(-3, 4, (n, 1, l)),
         base * 10.0 ** g.uniform(-14, 0, (n, m, 1)) * 10.0 ** g.uniform(-14, 0, (n, 1, l)),
-        base[:, :1] * (1 + bench.u * g.integers(-2, 3, (n, m, l))),
+        base[:, :1] * (1 + bench.eps * g.integers(-2, 3, (n, m, l))),
         np.cumprod(np.full((n, m, l), 1e-4), axis=2) * base,
         np.ldexp(base, g.integers(-most, most, (n, m, l))),
-        with_spectra(m, l, spectra(n, min(m, l), 1 / bench.u, g), g),
+        with_spectra(m, l, spectra(n, min(m, l), 1 / bench.eps, g), g),
     )
     S = bench.round(np.concatenate(kinds)[: task.systems])
     last = np.full((len(S), l), 7.0, bench.dtype)
@@ -440,7 +440,7 @@ def _sweeps(task: Task, bench: Bench) -> Iterator[Figure]:
 
 def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
     """Whether a certificate was ever given in vain, of the systems given one; and whether each step gives any."""
-    found = certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
+    found = false_certificates(task.m, task.l, task.scalar, task.systems, seed=task.seed + 1000003 * task.part)
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
     yield Figure(FALSE_QR, found.false_quick, found.quick)

@@ -1,0 +1,31 @@
+"""What the templates of the solver name."""
+
+from collections.abc import Callable
+from typing import Any
+
+from servogen.plan.solver import SolverPlan
+from servogen.results import OF_LIMITS, PATH_MEANING, STATUS_MEANING, Path, Status
+from servogen.scalars import BITS
+
+PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
+"""The names of the solver's equation S tau = z in comments where a scene has none of its own."""
+
+
+def solver_context(
+    plan: SolverPlan, prefix: str, literal: Callable[[float], str], limited: bool = False
+) -> dict[str, Any]:
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. limited: there are limits."""
+    said = [s for s in Status if limited or s not in OF_LIMITS]
+    return {
+        "p": prefix,
+        "P": prefix.upper(),
+        "K": prefix.upper(),  # of the names of this solver's numbers; another solver of the same package has its own
+        "real": plan.real,
+        "plan": plan,
+        "bits": BITS[plan.scalar],
+        "named": PLAIN,
+        "solved": PLAIN,
+        "lit": literal,
+        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))],
+        "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
+    }
