@@ -19,7 +19,7 @@ from servogen.plan.mathematics import Math
 from servogen.plan.module import Module, Target
 from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.remarks import say
-from servogen.render.render import render
+from servogen.render.render import render, render_with_core
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.names import check_identifier
 from servogen.scene.review import review
@@ -42,6 +42,7 @@ def build(
     math: Math = "own",
     casadi_abi: bool = False,
     entry_points: Sequence[str] | None = None,
+    core: str | None = None,
 ) -> Package:
     """Generate the C of a scene.
 
@@ -50,18 +51,22 @@ def build(
     math: "own" emits sin, cos and sqrt with the package: the same bits everywhere; "libm" calls <math.h>.
     casadi_abi: also <prefix>_casadi.c, a shim by which `casadi.external` calls the control function.
     entry_points: the functions to generate, as ("control",), with prepare and what they call; None: all there are.
+    core: a name, "servogen_core" say: what controllers of one image can share (types of status and info, solvers of
+    equal shapes and options, sin, cos and sqrt) goes into <core>.h and .c in the folder <core> beside `out`, which
+    each package with that core extends; the answers are the same bits.
     Raises SceneError for anything wrong with the scene, and for an entry point that it does not have; warns with an
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    target = target_for(scene.name, scalar, prefix, math)
+    target = target_for(scene.name, scalar, prefix, math, core)
     module = compile_scene(scene, target, entry_points=entry_points)
     if casadi_abi and not module.law.has("control"):
         raise SceneError(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
     remarks = review(scene) + derived_scene(scene)[0].remarks
-    package = write(render(module, casadi_abi), out, module, scene, remarks)
+    files, shared = render_with_core(module, casadi_abi)
+    package = write(files, out, module, scene, remarks, shared if core else None)
     say(remarks)
     return package
 
@@ -171,14 +176,19 @@ def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTr
     return plan_functions(scene, quantities, program, target)
 
 
-def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own") -> Target:
-    """The scalar, the prefix and the source of sin, cos and sqrt, checked."""
+def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own", core: str | None = None) -> Target:
+    """The scalar, the prefix, the source of sin, cos and sqrt and the name of a core, checked."""
     if math not in ("own", "libm"):
         raise SceneError(f"math {math!r}: choose 'own' or 'libm'")
     if scalar not in EPSILON:
         raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
     default = name if scalar == "float64" else f"{name}_f32"
-    return Target(scalar, check_identifier(default if prefix is None else prefix, "prefix"), math)
+    return Target(
+        scalar,
+        check_identifier(default if prefix is None else prefix, "prefix"),
+        math,
+        "" if core is None else check_identifier(core, "core"),
+    )
 
 
 def _checked(entry_points: Sequence[str] | None, formulation: Formulation) -> Sequence[str] | None:

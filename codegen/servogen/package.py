@@ -2,15 +2,17 @@
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from servogen.errors import SceneError
 from servogen.plan.module import Module
+from servogen.render.core import Block
 from servogen.render.render import SourceFile
 from servogen.scene.scene import Scene
+from servogen.shared_core import add_to_core
 from servogen.twins.compiled import CompiledSolver, CompiledTwin, load_package
 
 
@@ -18,6 +20,7 @@ from servogen.twins.compiled import CompiledSolver, CompiledTwin, load_package
 class Package:
     """A generated package: `path` is its folder, `manifest` what manifest.json says.
 
+    core: the folder of what it shares with others, None where it brings everything itself.
     remarks: what is odd about the scene and yet no error; `sg.build` says each as a warning.
     """
 
@@ -26,6 +29,7 @@ class Package:
     module: Module
     scene: Scene | None = None
     remarks: tuple[str, ...] = ()
+    core: Path | None = None
     _keep: Any = None  # a temporary folder lives as long as its package
 
     def __repr__(self) -> str:
@@ -60,18 +64,25 @@ def write(
     module: Module,
     scene: Scene | None,
     remarks: tuple[str, ...] = (),
+    shared: Mapping[str, Block] | None = None,
 ) -> Package:
-    """Write the files to a folder (made if need be; None: a temporary one). SceneError where that is no folder."""
+    """Write the files to a folder (made if need be; None: a temporary one). SceneError where that is no folder.
+
+    shared: what they need of the target's core, which is written to a folder of its own beside that.
+    """
     keep = None
     if out is None:
         keep = tempfile.TemporaryDirectory(prefix="servogen-")
-        out = keep.name
+        out = Path(keep.name) / module.target.prefix if module.target.core else keep.name
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise SceneError(f"out: {folder} is a file, or lies below one; give a folder for the package's files") from None
+    core = None
+    if shared is not None:
+        core = add_to_core(folder, module.target.core, module.target.prefix, module.target.scalar, shared)
     for f in files:
         (folder / f.name).write_text(f.text, encoding="utf-8", newline="\n")
     manifest = json.loads(next(f.text for f in files if f.name == "manifest.json"))
-    return Package(folder, manifest, module, scene, remarks, keep)
+    return Package(folder, manifest, module, scene, remarks, core, keep)

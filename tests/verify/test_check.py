@@ -28,8 +28,8 @@ def test_generated_code_passes(name):
 def edited(monkeypatch, old, new):
     """Let check build packages whose C has each match of `old` replaced by `new`."""
 
-    def build(scene, out, scalar):
-        package = sg.build(scene, out, scalar)
+    def build(scene, out, scalar, core):
+        package = sg.build(scene, out, scalar, core=core)
         source = Path(package.path) / f"{package.prefix}.c"
         source.write_text(mutated(source.read_text(), old, new))
         return package

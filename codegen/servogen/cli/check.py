@@ -18,6 +18,7 @@ from servogen.cli.console import (
     scenes_argument,
     table,
 )
+from servogen.cli.generate import CORE
 from servogen.loading import load_scene
 from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS
@@ -40,9 +41,17 @@ from servogen.verify.harness import targets
     help="States made on the board itself, answered by board and host bit for bit.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the states drawn.")
+@click.option("--core", is_flag=True, help="Check the C as generate --core makes it: all packages share one core.")
 @json_option
 def check_command(
-    scenes: tuple[str, ...], every: bool, target: str, states: int | None, vectors: int, seed: int, as_json: bool
+    scenes: tuple[str, ...],
+    every: bool,
+    target: str,
+    states: int | None,
+    vectors: int,
+    seed: int,
+    core: bool,
+    as_json: bool,
 ) -> None:
     """Cross-check the generated C of SCENE... in float64 and float32 against reference and truth.
 
@@ -50,7 +59,7 @@ def check_command(
     """
     names = chosen(scenes, every)
     with progress(as_json) as advance:
-        report = check([load_scene(n) for n in names], target, states, seed, advance, vectors)
+        report = check([load_scene(n) for n in names], target, states, seed, advance, vectors, CORE if core else None)
     if as_json:
         emit_json({"passed": report.passed, "report": report})
     else:

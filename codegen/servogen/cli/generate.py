@@ -8,6 +8,7 @@ import click
 
 from servogen.cli.console import emit_json, json_option, out, table
 from servogen.compiler import build, build_plant, build_solver
+from servogen.errors import SceneError
 from servogen.fmu.unit import build_fmu, write_fmu
 from servogen.loading import builtin_names, load_scene, scene_summary
 from servogen.package import Package
@@ -19,6 +20,8 @@ from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.wanted import load_simulation
+
+CORE = "servogen_core"
 
 scalar_option = click.option(
     "--scalar", type=click.Choice(list(EPSILON)), default="float64", show_default=True, help="Number type of the C."
@@ -56,7 +59,7 @@ def _in_words(system: System) -> str:
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True)
 @scalar_option
 @prefix_option
 @math_option
@@ -73,13 +76,19 @@ def _in_words(system: System) -> str:
 )
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
 @click.option(
+    "--core",
+    is_flag=True,
+    help=f"What controllers can share (info, solvers, sin, cos, sqrt) goes into ./{CORE}/, or --out DIR's, beside the "
+    "packages' folders; every package generated there with --core adds what it needs.",
+)
+@click.option(
     "--entry-points",
     metavar="NAMES",
     help="Only these C functions, as control or S,z, with prepare and what they call; default all of the scene's.",
 )
 @json_option
 def generate(
-    scene: str,
+    scenes: tuple[str, ...],
     scalar: Scalar,
     prefix: str | None,
     math: Math,
@@ -87,23 +96,37 @@ def generate(
     plant: bool,
     fmu: bool,
     casadi_abi: bool,
+    core: bool,
     entry_points: str | None,
     as_json: bool,
 ) -> None:
-    """Generate the C of SCENE, by default into ./<prefix>/."""
-    loaded, simulation = load_simulation(scene)
-    folder = out or Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
+    """Generate the C of each SCENE, by default into ./<prefix>/.
+
+    Of several scenes, and with --core, --out DIR is the folder that holds the packages' folders.
+    """
+    if prefix is not None and len(scenes) > 1:
+        raise SceneError(f"--prefix {prefix}: one prefix cannot name {len(scenes)} packages; generate them one by one")
+    if core and fmu:
+        raise SceneError("--fmu: a unit brings all of its C itself; leave out --core, or generate it on its own")
     names = None if entry_points is None else [name.strip() for name in entry_points.split(",") if name.strip()]
-    packages = [build(loaded, folder, scalar, prefix, math=math, casadi_abi=casadi_abi, entry_points=names)]
-    if plant:
-        own = f"{packages[0].prefix}_plant"
-        packages.append(build_plant(loaded, folder / "plant", scalar, own, math=math))
-    units = []
-    if fmu:
-        units.append(write_fmu(packages[0], loaded, folder, plant=False, simulation=simulation))
-    if fmu and plant:
-        units.append(_plant_fmu(loaded, simulation, folder / "plant", packages[1], math))
-    _report(packages, as_json, units)
+    several = len(scenes) > 1 or core
+    found = []
+    for scene in scenes:
+        loaded, simulation = load_simulation(scene)
+        own = Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
+        folder = (out or Path()) / own if several else out or own
+        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names}
+        packages = [build(loaded, folder, scalar, prefix, core=CORE if core else None, **options)]
+        if plant:
+            name = f"{packages[0].prefix}_plant"
+            packages.append(build_plant(loaded, folder / "plant", scalar, name, math=math))
+        units = []
+        if fmu:
+            units.append(write_fmu(packages[0], loaded, folder, plant=False, simulation=simulation))
+        if fmu and plant:
+            units.append(_plant_fmu(loaded, simulation, folder / "plant", packages[1], math))
+        found.append((packages, units))
+    _report(found, as_json)
 
 
 def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Package, math: Math) -> Path:
@@ -125,21 +148,32 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], as_json)
+    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], [])], as_json)
 
 
-def _report(packages: Sequence[Package], as_json: bool, units: Sequence[Path] = ()) -> None:
-    """The first package; in JSON the second, a plant, stands beside it. units: the files of the same as FMUs."""
+_Made = tuple[Sequence[Package], Sequence[Path]]
+"""Of a scene its package, behind it the plant's if there is one, and the files of the same as FMUs."""
+
+
+def _report(found: Sequence[_Made], as_json: bool) -> None:
+    """What was made of each scene; in JSON a plant stands in its package, and several scenes are a list."""
     if as_json:
-        told: list[dict[str, Any]] = [{"path": p.path, "manifest": p.manifest} for p in packages]
-        for entry, unit in zip(told, units, strict=False):
-            entry["fmu"] = unit
-        emit_json(told[0] | ({"plant": told[1]} if len(told) > 1 else {}))
+        told = [_in_json(*made) for made in found]
+        emit_json(told if len(told) > 1 else told[0])
         return
-    for package in packages:
-        _show(package)
-    for unit in units:
-        out.print(f"  wrote    {unit}", markup=False, soft_wrap=True)
+    for packages, units in found:
+        for package in packages:
+            _show(package)
+        for unit in units:
+            out.print(f"  wrote    {unit}", markup=False, soft_wrap=True)
+
+
+def _in_json(packages: Sequence[Package], units: Sequence[Path]) -> dict[str, Any]:
+    told: list[dict[str, Any]] = [{"path": p.path, "manifest": p.manifest} for p in packages]
+    for entry, unit in zip(told, units, strict=False):
+        entry["fmu"] = unit
+    told[0] |= {} if packages[0].core is None else {"core": packages[0].core}
+    return told[0] | ({"plant": told[1]} if len(told) > 1 else {})
 
 
 def _show(package: Package) -> None:
@@ -154,6 +188,8 @@ def _show(package: Package) -> None:
         out.print(f"  skipped  {reason}", markup=False)
     for file in sorted([*package.manifest["files"], "manifest.json"]):
         out.print(f"  wrote    {package.path / file}", markup=False, soft_wrap=True)
+    for file in sorted(package.core.iterdir()) if package.core is not None else ():
+        out.print(f"  shared   {file}", markup=False, soft_wrap=True)
 
 
 def _row(package: Package, name: str, point: dict[str, Any]) -> tuple[object, ...]:

@@ -165,19 +165,20 @@ class _Unit:
 def _controller_unit(package: Package, scene: Scene, simulation: Simulation) -> _Unit:
     system, module = scene.system, package.module
     offered = {e.name for e in module.entry_points} | {r.name for r in module.law.routines}
-    needs = ("control", system.constraint, *(("project", "step") if system.tau_is_state else ()))
+    needs = ("control", system.constraint, *(f.name for f in system.functions if f.controls))
     missing = [name for name in needs if name not in offered]
     if missing:
         raise SceneError(f"an FMU calls {', '.join(needs)}; entry_points leave out {', '.join(missing)}")
     starts = {n: _numbers(v) for n, v in start_values(scene, simulation).items() if n != "t"}
     first = starts.pop("tau")
     found = interface(package, starts, {f.name: f.default for f in module.parameters})
-    add_controller(found, scene.controls, system.constraint, scene.rows, first if system.tau_is_state else None)
+    advances = bool(module.law.advanced())
+    add_controller(found, scene.controls, system.constraint, scene.rows, first if advances else None)
     numbers = {
         "l": scene.controls,
         "m": scene.rows,
         "constraint": system.constraint,
-        "tau_is_state": system.tau_is_state,
+        "advances": advances,
     }
     title = f"controller of scene {scene.name}"
     return _Unit(package, title, "controller", tuple(found.all), numbers, _experiment(simulation))

@@ -24,11 +24,13 @@ SMALL = 60
 
 @dataclass(frozen=True)
 class Target:
-    """The number type of the C, the prefix of its names, and where its sin, cos and sqrt come from."""
+    """The number type of the C, the prefix of its names, where its sin, cos and sqrt come from, and the core that it
+    shares with others, "" where it brings everything itself."""
 
     scalar: Scalar
     prefix: str
     math: Math = "own"
+    core: str = ""
 
     @property
     def real(self) -> str:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -25,16 +26,17 @@ from servogen.law.steps import (
     handed_out,
     row_of,
 )
-from servogen.plan.module import Module, cost_of
+from servogen.plan.module import Module, Target, cost_of
 from servogen.plan.operations import known_operations, solver_operations
+from servogen.render import core
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
-from servogen.render.solver_context import PLAIN, solver_context
+from servogen.render.solver_context import PLAIN, paths, solver_context, statuses
 from servogen.render.unused import without_unused
 from servogen.results import STATUS_MEANING, Status
-from servogen.scalars import BITS
+from servogen.scalars import BITS, EPSILON, Scalar
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
 
@@ -68,20 +70,59 @@ def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
 
     casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
     """
+    return render_with_core(module, casadi_abi)[0]
+
+
+def render_with_core(
+    module: Module, casadi_abi: bool = False
+) -> tuple[tuple[SourceFile, ...], Mapping[str, core.Block]]:
+    """The files, and what they need of the target's core; nothing where it has none."""
     _check_defaults(module)
     prefix = module.target.prefix
     templates = environment()
     context = _context(module)
     kind = "package" if module.law.routines else "plant"
+    source = without_unused(templates.get_template(f"{kind}.c.j2").render(context))
+    blocks: Mapping[str, core.Block] = {}
+    if module.target.core:
+        source, blocks = core.cut_out(source, module, _of_words(context))
     files = [
         SourceFile(f"{prefix}.h", folded(templates.get_template(f"{kind}.h.j2").render(context))),
-        SourceFile(f"{prefix}.c", folded(without_unused(templates.get_template(f"{kind}.c.j2").render(context)))),
+        SourceFile(f"{prefix}.c", folded(source)),
         SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
     ]
     if casadi_abi:
         shim = templates.get_template("casadi.c.j2").render(context | _shim(module))
         files.append(SourceFile(f"{prefix}_casadi.c", shim))
-    return (*files, SourceFile("manifest.json", _manifest(module, files)))
+    return (*files, SourceFile("manifest.json", _manifest(module, files))), blocks
+
+
+def _of_words(context: dict[str, Any]) -> str:
+    """All C of bits and mathematics, which depends on the scalar alone."""
+    everything = context | {"own_functions": ("sqrt", "reduce", "sin", "cos", "sincos")}
+    everything["mt"] = math_context(context["module"].target.scalar)
+    parts = ("number.c.j2", "solver/words.c.j2")
+    return "\n".join(environment().get_template(part).render(everything) for part in parts)
+
+
+def render_core(
+    name: str, users: Mapping[str, Mapping[str, core.Block]], scalars: Sequence[Scalar]
+) -> tuple[SourceFile, ...]:
+    """<name>.h, <name>.c and CMakeLists.txt of a core. users: by prefix, what they need; scalars: theirs."""
+    blocks = core.ordered({b.names: b for needed in users.values() for b in needed.values()}.values())
+    context = {
+        "core": name,
+        "C": name.upper(),
+        "version": VERSION,
+        "users": sorted(users),
+        "infos": [(Target(s, name).real, core.info_type(name, s)) for s in EPSILON if s in scalars],
+        "statuses": statuses(),
+        "paths": paths(),
+        "inside": [core.prototype(b) if b.kind == "function" else b.text for b in blocks],
+        "functions": [b.text for b in blocks if b.kind == "function"],
+    }
+    found = {f"{name}.h": "core.h.j2", f"{name}.c": "core.c.j2", "CMakeLists.txt": "core_CMakeLists.txt.j2"}
+    return tuple(SourceFile(n, environment().get_template(t).render(context)) for n, t in found.items())
 
 
 def _context(module: Module) -> dict[str, Any]:
@@ -122,6 +163,8 @@ def _context(module: Module) -> dict[str, Any]:
             "named": _named(module),
             "solved": _solved_by(module, SYSTEM),
             "solved_by": partial(_solved_by, module),
+            "core": module.target.core,
+            "core_info": core.info_type(module.target.core, scalar),
         }
     )
 
@@ -234,6 +277,8 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
         manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
         if module.limits is not None:
             manifest["solver"]["limits"] = module.limits.to_json()
+    if module.target.core:
+        manifest["core"] = module.target.core
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}
     if module.entry_points:
         manifest["prepare"] = {"operations": module.prepare.program.operations(), "skipped": []}

@@ -15,7 +15,6 @@ def solver_context(
     plan: SolverPlan, prefix: str, literal: Callable[[float], str], limited: bool = False
 ) -> dict[str, Any]:
     """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. limited: there are limits."""
-    said = [s for s in Status if limited or s not in OF_LIMITS]
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -26,6 +25,17 @@ def solver_context(
         "named": PLAIN,
         "solved": PLAIN,
         "lit": literal,
-        "statuses": [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))],
-        "paths": [(path.name, int(path), PATH_MEANING[path]) for path in Path],
+        "statuses": statuses(limited),
+        "paths": paths(),
     }
+
+
+def statuses(limited: bool = False) -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each status that there is with limits or without, remarks before refusals."""
+    said = [s for s in Status if limited or s not in OF_LIMITS]
+    return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))]
+
+
+def paths() -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each path."""
+    return [(path.name, int(path), PATH_MEANING[path]) for path in Path]

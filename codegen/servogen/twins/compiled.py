@@ -51,6 +51,8 @@ class Built(Protocol):
     def scene(self) -> Scene | None: ...
     @property
     def prefix(self) -> str: ...
+    @property
+    def core(self) -> FilePath | None: ...
 
 
 def stack_source(module: Module) -> str:
@@ -87,13 +89,17 @@ def build_library(
     command = c_compiler(compiler)
     library = folder / f"{package.prefix}.so"
     sources = [str(package.path / f"{package.prefix}.c")]
+    folders = [f"-I{package.path}"]
+    if package.core is not None:
+        sources.append(str(package.core / f"{package.module.target.core}.c"))
+        folders.append(f"-I{package.core}")
     if extra:
         beside = folder / "extra.c"
         beside.write_text(extra)
         sources.append(str(beside))
     sources += [word for word in flags if word.endswith(".c")]
     chosen = [word for word in flags if not word.endswith(".c")]
-    more = ["-fPIC", "-shared", f"-I{package.path}", *sources, "-o", str(library), "-lm"]
+    more = ["-fPIC", "-shared", *folders, *sources, "-o", str(library), "-lm"]
     compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
     return library
 

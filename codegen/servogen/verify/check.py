@@ -139,11 +139,12 @@ def check(
     seed: int = 0,
     progress: Progress = lambda done, total, text: None,
     vectors: int = VECTORS,
+    core: str | None = None,
 ) -> CheckReport:
     """Cross-check scenes in both scalars: on the host under gcc and clang, or on a board against the host.
 
     states: drawn a scene; None: STATES, or fewer where the board is small. vectors: states made on a board itself, at
-    which its answers must be the host's bit for bit.
+    which its answers must be the host's bit for bit. core: a name; all packages share one, as for sg.build.
     Raises ToolMissing where the target has no compiler or emulator here.
     """
     states = default_states(target, STATES) if states is None else states
@@ -154,7 +155,9 @@ def check(
     campaigns: list[BackToBack] = []
     steps = _Steps(progress, 2 * len(scenes) + len(compilers) * (2 * len(scenes) + 1) + 2 * (target != "host"))
     with tempfile.TemporaryDirectory(prefix="servogen-check-") as folder:
-        cases = [_prepare(scene, scalar, Path(folder), states, seed, steps) for scene in scenes for scalar in EPSILON]
+        cases = [
+            _prepare(scene, scalar, Path(folder), states, seed, steps, core) for scene in scenes for scalar in EPSILON
+        ]
         runs = {}
         for compiler in compilers:
             steps.next(f"compiling and running with {compiler}")
@@ -225,9 +228,11 @@ def _host_compilers() -> tuple[list[str], list[str]]:
     return found, missing
 
 
-def _prepare(scene: Scene, scalar: Scalar, folder: Path, states: int, seed: int, steps: _Steps) -> _Case:
+def _prepare(
+    scene: Scene, scalar: Scalar, folder: Path, states: int, seed: int, steps: _Steps, core: str | None
+) -> _Case:
     steps.next(f"{scene.name} {scalar}: 50-digit truth at {states} states")
-    package = build(scene, folder / f"{scene.name}-{scalar}", scalar)
+    package = build(scene, folder / f"{scene.name}-{scalar}", scalar, core=core)
     truth = Truth(scene, package.module, states_to_check(scene, states, seed)[0], states)
     return _Case(scene, package, truth, truth.vector_set())
 
