@@ -53,7 +53,11 @@ def best_within(S: Matrix, z: Matrix, y: Matrix, lower: Limits, upper: Limits, m
         x, second = _of_places(S, z, y, lower, upper, T, place)
         rest = S * x - z
         pull = S.transpose() * rest
-        wrong = [(j, p) for j in range(l) if not fixed[j] and (p := _better(j, x, pull, second, lower, upper, place)) is not None]
+        wrong = [
+            (j, p)
+            for j in range(l)
+            if not fixed[j] and (p := _better(j, x, pull, second, lower, upper, place)) is not None
+        ]
         if not wrong:
             return Optimum(x, rest, pull, tuple(place))
         if len(wrong) < fewest:

@@ -27,7 +27,8 @@ from servogen.law.steps import (
 _DECLARED = ("inputs", "quantities", "solvers")
 
 Form = Literal["step", "limited", "evaluation", "tick"]
-"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an evaluation and steps on what it leaves, one
+"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an
+evaluation and steps on what it leaves, one
 of which is a solve that fills info (without info, one quiet step alone); a call, an input advanced along its answer,
 and a call there."""
 

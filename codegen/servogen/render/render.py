@@ -130,7 +130,7 @@ def _context(module: Module) -> dict[str, Any]:
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
-        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits is not None)
+        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits)
     else:
         evaluating = (Status.OK, *STEPS[Evaluate].statuses)
         numbers = {
@@ -156,7 +156,6 @@ def _context(module: Module) -> dict[str, Any]:
             "mt": math_context(scalar) if module.own_functions else None,
             "reads": reads,
             "initialiser": partial(_initialiser, scalar=scalar),
-            "bound": module.limits,
             "info_type": f"{module.target.prefix}_info",
             "in_prepare": module.known_matrix.kernel if module.known_matrix else None,
             "free": module.free,

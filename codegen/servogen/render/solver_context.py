@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from servogen.plan.bounds import BoundPlan
 from servogen.plan.solver import SolverPlan
 from servogen.results import OF_LIMITS, PATH_MEANING, STATUS_MEANING, Path, Status
 from servogen.scalars import BITS
@@ -12,9 +13,9 @@ PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
 
 
 def solver_context(
-    plan: SolverPlan, prefix: str, literal: Callable[[float], str], limited: bool = False
+    plan: SolverPlan, prefix: str, literal: Callable[[float], str], bound: BoundPlan | None = None
 ) -> dict[str, Any]:
-    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. limited: there are limits."""
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound: of limits, if there are."""
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -25,7 +26,8 @@ def solver_context(
         "named": PLAIN,
         "solved": PLAIN,
         "lit": literal,
-        "statuses": statuses(limited),
+        "bound": bound,
+        "statuses": statuses(bound is not None),
         "paths": paths(),
     }
 

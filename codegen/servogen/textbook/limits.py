@@ -43,6 +43,7 @@ def solve_within(
     free = np.zeros(l) if y is None else np.asarray(y, dtype=float)
     counted = counted_rows(np.asarray(S, dtype=float), policy)
     tau = _nearest(counted, free, _reaching(counted, np.asarray(z, dtype=float), lower, upper), lower, upper)
+    tau = _sharpened(counted, np.asarray(z, dtype=float), free, tau, lower, upper)
     residual = np.asarray(z, dtype=float) - np.asarray(S, dtype=float) @ tau
     without = counted.T @ (np.asarray(z, dtype=float) - counted @ tau)
     size = np.linalg.norm(counted) * (np.linalg.norm(counted) * np.linalg.norm(tau) + np.linalg.norm(z))
@@ -92,6 +93,19 @@ def _nearest(S: FloatArray, y: FloatArray, tau: FloatArray, lower: FloatArray, u
     found = tau.copy()
     found[wide] += N @ (start + move)
     return np.clip(found, lower, upper)
+
+
+def _sharpened(
+    S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """tau solved for once more with those at a limit exactly there; as it was, where that leaves the limits."""
+    near = 1e-8 * (1 + np.max(np.abs(tau)))
+    sharp = np.where(tau <= lower + near, lower, np.where(tau >= upper - near, upper, tau))
+    free = sharp == tau
+    free &= (tau > lower) & (tau < upper)
+    rest = z - S[:, ~free] @ sharp[~free] - S[:, free] @ y[free]
+    sharp[free] = y[free] + np.linalg.pinv(S[:, free]) @ rest
+    return sharp if np.all((lower <= sharp) & (sharp <= upper)) else tau
 
 
 def _mask(tau: FloatArray, lower: FloatArray, upper: FloatArray) -> int:

@@ -150,7 +150,9 @@ def _info_dtype(module: Module) -> np.dtype[Any]:
     """An array of infos, as C lays it out."""
     integers, numbers, behind = _members(module)
     real = np.dtype(module.target.scalar)
-    return np.dtype([*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True)
+    return np.dtype(
+        [*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True
+    )
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
