@@ -73,6 +73,7 @@ INFO_INTEGERS, INFO_REALS = ("status", "path", "rank", "sweeps"), ("sigma_min", 
 class Info:
     """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau.
 
+    By the paths NORMAL and QR sigma_min is a proven lower bound, unless `sg.Solver(sigma_min="exact")` was asked for.
     Of limits: `scale`, the part of the error dynamics that is kept, and `active`, a bit mask of the controls at one.
     """
 

@@ -18,7 +18,7 @@ def pseudo_solution(
     """
     with mp.workdps(DIGITS):
         A = mp.matrix(np.asarray(S, dtype=float).tolist())
-        U, sigma, V = mp.svd_r(A) if A.rows >= A.cols else _transposed(A)
+        U, sigma, V = _svd(A)
         rest = mp.matrix([mp.mpf(float(v)) for v in z]) - A * mp.matrix([mp.mpf(float(v)) for v in y])
         tau = [mp.mpf(float(v)) for v in y]
         for k in range(rank):
@@ -29,6 +29,22 @@ def pseudo_solution(
     return tau, kappa
 
 
+def kept_singular_values(S: FloatArray, units: FloatArray, rtol: float) -> list[Any]:
+    """What a rank policy keeps of S: its singular values, largest first; how many they are is the rank.
+
+    The rank is that of D^-1 S with D = diag(units): its singular values above rtol times the largest. S: (m, l),
+    units: (m,), powers of two.
+    """
+    with mp.workdps(DIGITS):
+        U, sigma, V = _svd(mp.matrix((np.asarray(S, dtype=float) / units[:, None]).tolist()))
+        rank = sum(1 for s in sigma if s > rtol * sigma[0])
+        kept = mp.matrix(*S.shape)
+        for i in range(S.shape[0]):
+            for j in range(S.shape[1]):
+                kept[i, j] = float(units[i]) * mp.fsum(U[i, k] * sigma[k] * V[k, j] for k in range(rank))
+        return list(_svd(kept)[1])[:rank]
+
+
 def smallest_singular_value(S: FloatArray) -> float:
     """sigma_min of a matrix (m, l)."""
     with mp.workdps(DIGITS):
@@ -36,8 +52,10 @@ def smallest_singular_value(S: FloatArray) -> float:
         return float(min(mp.svd_r(A if A.rows >= A.cols else A.T, compute_uv=False)))
 
 
-def _transposed(A: Any) -> tuple[Any, Any, Any]:
-    """svd_r wants at least as many rows as columns."""
+def _svd(A: Any) -> tuple[Any, Any, Any]:
+    """U, sigma and V^T; svd_r wants at least as many rows as columns."""
+    if A.rows >= A.cols:
+        return mp.svd_r(A)  # type: ignore[no-any-return]
     U, sigma, V = mp.svd_r(A.T)
     return V.T, sigma, U.T
 

@@ -6,8 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
+from servogen.plan.known_matrix import judge
+from servogen.plan.solver import plan_solver
 from servogen.scene.domain import draw_states
 from servogen.scenes import skewed_thrusters
+from servogen.textbook import pseudo_inverse
+from servogen.textbook.policy import policy_for
 
 
 def linear(rows: Any, G: Any, parameters: sg.Parameters | None = None, Q: Any = None, **options: Any) -> sg.Scene:
@@ -107,3 +111,21 @@ def test_skewed_thrusters_factorise_nothing_at_run_time() -> None:
     assert control["operations"].get("div", 0) <= 6  # P over masses and inertias
     assert "sqrt" not in control["operations"]
     compare(skewed_thrusters.scene)
+
+
+@pytest.mark.parametrize("rank", ["scaled", "raw"])
+@pytest.mark.parametrize("shape", [(1, 3), (3, 1), (2, 3), (3, 2)])
+def test_a_matrix_is_judged_as_the_reference_does(shape: tuple[int, int], rank: Any) -> None:
+    """Singular values about rtol, rows about atol, sizes about the damping; the textbook shares none of our numbers."""
+    rng = np.random.default_rng(3)
+    seen = set()
+    for k in range(24):
+        users = sg.Solver(rank=rank, rtol=1e-3, atol=1e-4, damping=[None, 2e-3][k % 2])
+        S = rng.normal(size=(shape[0], 1)) @ rng.normal(size=(1, shape[1]))
+        S += 10.0 ** rng.uniform(-4, -2) * rng.normal(size=shape)
+        S *= 10.0 ** rng.uniform(-5, 0, (shape[0], 1))
+        _, found, status = judge(S, plan_solver(*shape, "float64", users))
+        info = pseudo_inverse.pinv(S, policy_for(*shape, "float64", users))[1]
+        assert (found, status) == (info.rank, info.status), (k, S.tolist())
+        seen.add((found, status))
+    assert len(seen) > 1

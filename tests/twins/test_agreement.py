@@ -8,6 +8,7 @@ import servogen as sg
 from servogen.compiler import optimised_scene
 from servogen.ir.rounding import rounding_bounds
 from servogen.loading import builtin_names, load_scene
+from servogen.results import Path
 from servogen.scene.domain import draw_states
 from support.models import awkward_scenes, random_scene
 from support.mutate import mutated
@@ -46,7 +47,8 @@ def compare(scene: sg.Scene, scalar: str) -> None:
         moved, least = control_bounds(reference, state, S, z, y, b.value, solved, errors[names[2]], back, scalar)
         compared += np.isfinite(moved)
         assert np.linalg.norm(a.value.astype(float) - b.value) <= moved, (scene.name, a, b)
-        assert abs(a.info.sigma_min - b.info.sigma_min) <= least, (scene.name, a, b)
+        low = {Path.NORMAL: 0.1, Path.QR: 0.1}.get(a.info.path, 1.0)  # a lower bound there, else the value
+        assert low * b.info.sigma_min - least <= a.info.sigma_min <= b.info.sigma_min + least, (scene.name, a, b)
     assert compared > PROVEN.get((scene.name, scalar), 0.9) * STATES
 
 

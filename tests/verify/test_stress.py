@@ -86,6 +86,8 @@ def test_certificates_and_strict_compilers(need_tool, monkeypatch):
     figures = {row.quantity: row.systems for row in report.rows}
     assert figures[bars.FALSE_NORMAL] > 500
     assert figures[bars.FALSE_QR] > 500
+    assert figures[bars.HIGH_BOUND] > 500
+    assert figures[bars.LOW_BOUND] > 500
     assert figures[bars.IDLE] > 0
     assert figures[bars.COMPLAINTS] == 2
 

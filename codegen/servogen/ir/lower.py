@@ -25,49 +25,63 @@ def lower_expressions(name: str, inputs: Sequence[tuple[Input, Any]], outputs: S
     """
     dense = [ca.densify(expression.T) for _, expression in outputs]  # CasADi counts down columns, C along rows
     function = ca.Function(name, [symbol for _, symbol in inputs], dense)
-    instrs: list[Instr] = []
+    emit = _Emitter(name, function, [entry.name for entry, _ in inputs])
     value: dict[int, int] = {}  # CasADi's work vector: slot -> our instruction
     nodes = [[-1] * (expression.size1() * expression.size2()) for _, expression in outputs]
-
-    def emit(op: str, *args: int, const: Fraction | tuple[str, int] | None = None) -> int:
-        instrs.append(Instr(op, args, const))
-        return len(instrs) - 1
-
     for k in range(function.n_instructions()):
-        casadi_id = function.instruction_id(k)
         into, out_of = function.instruction_output(k), function.instruction_input(k)
+        casadi_id = function.instruction_id(k)
         if casadi_id == ca.OP_OUTPUT:
             nodes[into[0]][into[1]] = value[out_of[0]]
-            continue
-        if casadi_id == ca.OP_INPUT:
-            result = emit("input", const=(inputs[out_of[0]][0].name, out_of[1]))
+        elif casadi_id == ca.OP_INPUT:
+            value[into[0]] = emit.input(*out_of)
         elif casadi_id == ca.OP_CONST:
-            number = function.instruction_constant(k)
-            if not math.isfinite(number):
-                raise SceneError(f"routine {name}, instruction {k}: a constant is {number}; give finite numbers")
-            result = emit("const", const=decimal_value(number))
+            value[into[0]] = emit.constant(k)
         else:
-            args = tuple(value[slot] for slot in out_of)
-            if casadi_id == ca.OP_ASSIGN:
-                result = args[0]
-            elif casadi_id == ca.OP_SQ:
-                result = emit("mul", args[0], args[0])
-            elif casadi_id == ca.OP_TWICE:
-                result = emit("add", args[0], args[0])
-            elif casadi_id == ca.OP_INV:
-                result = emit("div", emit("const", const=Fraction(1)), args[0])
-            elif casadi_id == ca.OP_CONSTPOW:
-                result = emit("pow", *args)
-            elif casadi_id in BY_CASADI_ID:
-                result = emit(BY_CASADI_ID[casadi_id].name, *args)
-            else:
-                raise SceneError(
-                    f"routine {name}, instruction {k}: op {casadi_name(casadi_id)} (CasADi id {casadi_id}) "
-                    "is not supported; add a row to ir/ops.py"
-                )
-        value[into[0]] = result
+            value[into[0]] = emit.operation(k, casadi_id, tuple(value[slot] for slot in out_of))
     named = tuple(
         Output(label, expression.size1(), expression.size2(), tuple(entries))
         for (label, expression), entries in zip(outputs, nodes, strict=True)
     )
-    return check_legal(Program(name, tuple(i for i, _ in inputs), tuple(instrs), named))
+    return check_legal(Program(name, tuple(i for i, _ in inputs), tuple(emit.instrs), named))
+
+
+class _Emitter:
+    """Our instructions as those of CasADi's function come in; each method appends what it takes, and names the last."""
+
+    def __init__(self, name: str, function: Any, inputs: Sequence[str]) -> None:
+        self.instrs: list[Instr] = []
+        self._name = name
+        self._function = function
+        self._inputs = inputs
+
+    def input(self, which: int, entry: int) -> int:
+        return self._emit("input", const=(self._inputs[which], entry))
+
+    def constant(self, k: int) -> int:
+        number = self._function.instruction_constant(k)
+        if not math.isfinite(number):
+            raise SceneError(f"routine {self._name}, instruction {k}: a constant is {number}; give finite numbers")
+        return self._emit("const", const=decimal_value(number))
+
+    def operation(self, k: int, casadi_id: int, args: tuple[int, ...]) -> int:
+        if casadi_id == ca.OP_ASSIGN:
+            return args[0]
+        if casadi_id == ca.OP_SQ:
+            return self._emit("mul", args[0], args[0])
+        if casadi_id == ca.OP_TWICE:
+            return self._emit("add", args[0], args[0])
+        if casadi_id == ca.OP_INV:
+            return self._emit("div", self._emit("const", const=Fraction(1)), args[0])
+        if casadi_id == ca.OP_CONSTPOW:
+            return self._emit("pow", *args)
+        if casadi_id in BY_CASADI_ID:
+            return self._emit(BY_CASADI_ID[casadi_id].name, *args)
+        raise SceneError(
+            f"routine {self._name}, instruction {k}: op {casadi_name(casadi_id)} (CasADi id {casadi_id}) "
+            "is not supported; add a row to ir/ops.py"
+        )
+
+    def _emit(self, op: str, *args: int, const: Fraction | tuple[str, int] | None = None) -> int:
+        self.instrs.append(Instr(op, args, const))
+        return len(self.instrs) - 1

@@ -11,11 +11,8 @@ from servogen.ir.program import Program
 from servogen.plan.module import Kernel, KnownMatrix, Result
 from servogen.plan.solver import SolverPlan
 from servogen.plan.stage import Staged, cut
-from servogen.results import Status
-from servogen.scene.solver import Solver
-from servogen.singular import pseudo_solution, smallest_singular_value
-from servogen.textbook import pseudo_inverse
-from servogen.textbook.policy import policy_for
+from servogen.results import FloatArray, Status
+from servogen.singular import kept_singular_values, pseudo_solution, smallest_singular_value
 
 
 def plan_known_matrix(staged: Staged, result: Result, solver: SolverPlan) -> KnownMatrix | None:
@@ -45,17 +42,29 @@ def _at_generation(name: str, constants: list[Any], solver: SolverPlan) -> Known
     m, l = solver.m, solver.l
     matrix = flint.fmpq_mat(m, l, [flint.fmpq(c.numerator, c.denominator) for c in constants])
     values = exact.nearest(matrix)
-    users = Solver(rank=solver.rank, rtol=solver.rtol, atol=solver.atol, damping=solver.damping)
-    policy = policy_for(m, l, solver.scalar, users)
-    counted = pseudo_inverse.counted_rows(values, policy)
-    _, info = pseudo_inverse.pinv(values, policy)
-    if info.rank == exact.rank(matrix) and np.array_equal(counted, values) and info.status != Status.REGULARISED:
+    counted, rank, status = judge(values, solver)
+    if rank == exact.rank(matrix) and np.array_equal(counted, values) and status != Status.REGULARISED:
         entries = exact.pinv(matrix)
         numbers = [Fraction(int(q.p), int(q.q)) for q in (entries[i, j] for i in range(l) for j in range(m))]
     else:
-        columns = [pseudo_solution(counted, unit, np.zeros(l), info.rank, solver.damping)[0] for unit in np.eye(m)]
+        columns = [pseudo_solution(counted, unit, np.zeros(l), rank, solver.damping)[0] for unit in np.eye(m)]
         numbers = [Fraction(float(column[i])) for i in range(l) for column in columns]
+    if any(abs(n) > float(np.finfo(solver.scalar).max) for n in numbers):
+        numbers, rank, status = [Fraction(0)] * (l * m), 0, Status.OVERFLOW
     sigma_min = smallest_singular_value(values) if exact.rank(matrix) == min(m, l) else 0.0
-    return KnownMatrix(
-        name, "generation", tuple(constants), tuple(numbers), Status(info.status).name, info.rank, sigma_min
-    )
+    return KnownMatrix(name, "generation", tuple(constants), tuple(numbers), status.name, rank, sigma_min)
+
+
+def judge(S: FloatArray, solver: SolverPlan) -> tuple[FloatArray, int, Status]:
+    """S (m, l) with the rows that count as zero at zero, its rank, and its status if all rows can be met.
+
+    As the solver would find them at run time, to 50 digits: rows within their atol are zero; the rank is that of the
+    rows brought to one size, or of S as it is; a singular value of what is kept below the damping regularises.
+    """
+    counted = np.where(np.max(np.abs(S), axis=1, keepdims=True) > np.array(solver.atol)[:, None], S, 0.0)
+    length = np.linalg.norm(counted, axis=1)
+    own = np.ldexp(1.0, np.frexp(np.where(length > 0, length, 1.0))[1] - 1)
+    kept = kept_singular_values(counted, own if solver.rank == "scaled" else np.ones(solver.m), solver.rtol)
+    if solver.damping is not None and any(sigma < solver.damping for sigma in kept):
+        return counted, len(kept), Status.REGULARISED
+    return counted, len(kept), Status.OK if len(kept) == solver.m else Status.RANK_DEFICIENT_CONSISTENT

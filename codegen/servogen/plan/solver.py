@@ -83,8 +83,11 @@ class SolverPlan(Layout):
 
     @property
     def sigma_share(self) -> float:
-        """The bound is at least this part of sigma_min, but for rounding (numerics.md: The smallest singular value)."""
-        return math.sqrt(2 / (1 + math.sqrt(self.count)))
+        """The bound is at least this part of sigma_min, but for rounding (numerics.md: The smallest singular value).
+
+        In hundredths, rounded down.
+        """
+        return math.floor(100 * math.sqrt(2 / (1 + math.sqrt(self.count)))) / 100
 
     @property
     def mean_share(self) -> float:

@@ -28,7 +28,7 @@ class Solver:
         domain, or whose noise vanishes with it. `sg.build_solver`, which knows no rows: 0.
     damping: eps_d; singular values of the raw S below it are damped, exactly none above; default none.
     sigma_min: what `info.sigma_min` is where no SVD was needed. "bound": a proven lower bound of the smallest singular
-        value, which costs next to nothing; the header tells its factor. "exact": the value itself, by an SVD.
+        value, which costs next to nothing; the header tells its factor. "exact": the value, by an SVD of its own.
     """
 
     method: Literal["auto", "svd"] = "auto"

@@ -42,6 +42,8 @@
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
 #define DOUBLE_PENDULUM_IDEAL_F32_CONSISTENCY 1.9073486e-6f /* a row whose relative residual is at most this is met */
+#define DOUBLE_PENDULUM_IDEAL_F32_ANSWER_LOW 27 /* exponents of a sum of squares with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_F32_ANSWER_HIGH 237
 /* singular values at or below this part of the largest count as zero */
 #define DOUBLE_PENDULUM_IDEAL_F32_RTOL 2.3841858e-7f
 #define DOUBLE_PENDULUM_IDEAL_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
@@ -52,12 +54,7 @@
 #define DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR 0.000024221818f
 /* up to this bound the normal equations are accurate, and no SVD is needed */
 #define DOUBLE_PENDULUM_IDEAL_F32_NORMAL_LIMIT 41285.094f
-/* what their rounding takes from the square of sigma_min */
-#define DOUBLE_PENDULUM_IDEAL_F32_NORMAL_ROUNDING 1.9073486e-6f
 #define DOUBLE_PENDULUM_IDEAL_F32_QR_LIMIT 615726500000.0f /* up to this bound times |B|^2 the QR needs no SVD */
-/* what the rounding of the QR takes from a bound of sigma_min, over |B| */
-#define DOUBLE_PENDULUM_IDEAL_F32_LEAST_ROUNDING 9.536743e-7f
-#define DOUBLE_PENDULUM_IDEAL_F32_LEAST_SHARE 0.99999857f /* what the rounding of the bound itself leaves of it */
 #define DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
 typedef union double_pendulum_ideal_f32_word {
     float value;
@@ -396,7 +393,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS float double_pendulum_ideal
 typedef struct double_pendulum_ideal_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
-    float square[2];  /* the squared lengths of the rows of B */
 } double_pendulum_ideal_f32_normal;
 
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -438,9 +434,7 @@ static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendul
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->lower[0] = l_1_0;
     return 1;
 }
@@ -842,82 +836,6 @@ static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factoris
     return DOUBLE_PENDULUM_IDEAL_F32_OK;
 }
 
-/* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.91 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_least(const float *lower,
-    const float *inverse, const float *square, float *condition)
-{
-    const float k_1_0 = -(lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0;
-    const float h_1 = inverse[1];
-    const float trace = (h_0) + (h_1);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0;
-    const float beside = beside_0;
-    const float apart_0 = h_0 * unit - 0.5f;
-    const float apart_1 = h_1 * unit - 0.5f;
-    const float apart = (apart_0 * apart_0) + (apart_1 * apart_1);
-    *condition = (square[0] * h_0) + (square[1] * h_1);
-    return unit / (0.5f + double_pendulum_ideal_f32_sqrt(0.5f * (2.0f * beside + apart)));
-}
-
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 1.9e-06 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float double_pendulum_ideal_f32_normal_least(const double_pendulum_ideal_f32_normal *f, const float *unit)
-{
-    float condition, least;
-    if (unit == NULL) {
-        least = double_pendulum_ideal_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[1], inverse[2], square[2];
-        int i, j, k;
-        for (i = 0, k = 0; i < 2; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = double_pendulum_ideal_f32_least(lower, inverse, square, &condition);
-    }
-    return double_pendulum_ideal_f32_sqrt(least * (1.0f - DOUBLE_PENDULUM_IDEAL_F32_NORMAL_ROUNDING * condition));
-}
-
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float double_pendulum_ideal_f32_qr_least(const double_pendulum_ideal_f32_qr *f, const float *unit, float *share)
-{
-    float lower[1], inverse[2], square[2];
-    float condition, least;
-    int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 2) {
-        return 0.0f;
-    }
-    for (i = 0, k = 0; i < 2; ++i) {
-        const double_pendulum_ideal_f32_line *const line = f->at[i];
-        const float own = unit[line->row];
-        const float size = 1.0f / own;
-        square[i] = f->total * size * size;
-        inverse[i] = f->inverse[i] * own * own;
-        for (j = 0; j < i; ++j, ++k) {
-            lower[k] = line->l[j] * size * unit[f->at[j]->row];
-        }
-    }
-    least = double_pendulum_ideal_f32_least(lower, inverse, square, &condition);
-    condition = DOUBLE_PENDULUM_IDEAL_F32_LEAST_SHARE
-        - DOUBLE_PENDULUM_IDEAL_F32_LEAST_ROUNDING * double_pendulum_ideal_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return double_pendulum_ideal_f32_sqrt(least);
-}
-
 /* The ladder, from the step `from` on. */
 static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factorise(const float *S,
     double_pendulum_ideal_f32_factors *f, int from)
@@ -966,48 +884,23 @@ static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factoris
     return double_pendulum_ideal_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
 static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_sigma_min(const float *S,
     double_pendulum_ideal_f32_factors *f)
 {
-    float unit[2];
-    float share;
-    double_pendulum_ideal_f32_word least;
-    int bottom = -DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT;
+    const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
+    const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
+    float u[4];
     int i;
-    if (f->path == DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD) {
-        const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
-        const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
-        if (f->uniform) {
-            return double_pendulum_ideal_f32_shift(f->sigma[1], top);
-        }
+    if (f->path != DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD || !f->uniform) {
         for (i = 0; i < 2; ++i) {
             f->exponent[i] = top;
         }
         double_pendulum_ideal_f32_scale(S, f->exponent, f->B);
         double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
+        (void)double_pendulum_ideal_f32_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 2; ++i) {
-        bottom = f->exponent[i] != DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT && f->exponent[i] < bottom
-            ? f->exponent[i] : bottom;
-    }
-    for (i = 0; i < 2; ++i) {
-        const int above = f->exponent[i] - bottom; /* a row that is shortened only lowers the bound */
-        unit[i] = double_pendulum_ideal_f32_power(above < DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX / 4
-            ? -above : -(DOUBLE_PENDULUM_IDEAL_F32_EXPONENT_MAX / 4));
-    }
-    if (f->path == DOUBLE_PENDULUM_IDEAL_F32_PATH_NORMAL) {
-        least.value = double_pendulum_ideal_f32_normal_least(&f->normal, unit);
-    } else {
-        least.value = double_pendulum_ideal_f32_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == DOUBLE_PENDULUM_IDEAL_F32_PATH_QR ? share : 1.0f;
-    }
-    least.value = double_pendulum_ideal_f32_shift(least.value, bottom);
-    /* a subnormal number may have been rounded up */
-    least.bits -= least.bits < DOUBLE_PENDULUM_IDEAL_F32_SMALLEST_NORMAL && least.bits > 0;
-    return least.value;
+    return double_pendulum_ideal_f32_shift(f->sigma[1], top);
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
@@ -1022,6 +915,28 @@ static int double_pendulum_ideal_f32_refuse(int status, double_pendulum_ideal_f3
         info->residual = 0.0f;
     }
     return status;
+}
+
+/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float double_pendulum_ideal_f32_norm(const float *v)
+{
+    float square = v[0] * v[0] + v[1] * v[1];
+    const uint32_t biased = double_pendulum_ideal_f32_magnitude(square) >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS;
+    int unit, i;
+    if (biased >= DOUBLE_PENDULUM_IDEAL_F32_ANSWER_LOW && biased <= DOUBLE_PENDULUM_IDEAL_F32_ANSWER_HIGH) {
+        return double_pendulum_ideal_f32_sqrt(square);
+    }
+    unit = double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_largest(v, 2));
+    if (unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
+        return 0.0f;
+    }
+    square = 0.0f;
+    for (i = 0; i < 2; ++i) {
+        const float part = double_pendulum_ideal_f32_shift(v[i], -unit);
+        square += part * part;
+    }
+    return double_pendulum_ideal_f32_shift(double_pendulum_ideal_f32_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1962,10 +1877,22 @@ static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_
     if (double_pendulum_ideal_f32_largest(found, 2) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
         return double_pendulum_ideal_f32_refuse(DOUBLE_PENDULUM_IDEAL_F32_OVERFLOW, info);
     }
-    if (known->rank < 2 || info != NULL) {
+    if (known->rank < 2) {
         const int met = double_pendulum_ideal_f32_consistent(S, z, y, found, &residual);
         if (status == DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_CONSISTENT && !met) {
             status = DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_INCONSISTENT;
+        }
+    } else if (info != NULL) {
+        for (i = 0; i < 2; ++i) {
+            rest[i] = z[i];
+            for (j = 0; j < 2; ++j) {
+                rest[i] -= S[2 * i + j] * found[j];
+            }
+        }
+        residual = double_pendulum_ideal_f32_norm(rest);
+        /* a product has left the range */
+        if (double_pendulum_ideal_f32_magnitude(residual) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
+            (void)double_pendulum_ideal_f32_consistent(S, z, y, found, &residual);
         }
     }
     if (info != NULL) {

@@ -43,6 +43,8 @@
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
 /* a row whose relative residual is at most this is met */
 #define DOUBLE_PENDULUM_IDEAL_CONSISTENCY 3.552713678800501e-15
+#define DOUBLE_PENDULUM_IDEAL_ANSWER_LOW 23 /* exponents of a sum of squares with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH 1923
 /* singular values at or below this part of the largest count as zero */
 #define DOUBLE_PENDULUM_IDEAL_RTOL 4.440892098500626e-16
 #define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
@@ -53,12 +55,7 @@
 #define DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
 #define DOUBLE_PENDULUM_IDEAL_NORMAL_LIMIT 27271342415.357616
-/* what their rounding takes from the square of sigma_min */
-#define DOUBLE_PENDULUM_IDEAL_NORMAL_ROUNDING 3.552713678800501e-15
 #define DOUBLE_PENDULUM_IDEAL_QR_LIMIT 1.7747108403195213e+29 /* up to this bound times |B|^2 the QR needs no SVD */
-/* what the rounding of the QR takes from a bound of sigma_min, over |B| */
-#define DOUBLE_PENDULUM_IDEAL_LEAST_ROUNDING 1.7763568394002505e-15
-#define DOUBLE_PENDULUM_IDEAL_LEAST_SHARE 0.9999999999999973 /* what the rounding of the bound itself leaves of it */
 /* below this the square of a pivot counts as zero */
 #define DOUBLE_PENDULUM_IDEAL_SMALLEST_SQUARE 1.1830521861667747e-271
 typedef union double_pendulum_ideal_word {
@@ -432,7 +429,6 @@ static DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS double double_pendulum_ideal_in
 typedef struct double_pendulum_ideal_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
-    double square[2];  /* the squared lengths of the rows of B */
 } double_pendulum_ideal_normal;
 
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -474,9 +470,7 @@ static int double_pendulum_ideal_normal_factor(const double *B, double_pendulum_
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->lower[0] = l_1_0;
     return 1;
 }
@@ -877,82 +871,6 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise_svd(co
     return DOUBLE_PENDULUM_IDEAL_OK;
 }
 
-/* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.91 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_least(const double *lower, const double *inverse,
-    const double *square, double *condition)
-{
-    const double k_1_0 = -(lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0;
-    const double h_1 = inverse[1];
-    const double trace = (h_0) + (h_1);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0;
-    const double beside = beside_0;
-    const double apart_0 = h_0 * unit - 0.5;
-    const double apart_1 = h_1 * unit - 0.5;
-    const double apart = (apart_0 * apart_0) + (apart_1 * apart_1);
-    *condition = (square[0] * h_0) + (square[1] * h_1);
-    return unit / (0.5 + double_pendulum_ideal_sqrt(0.5 * (2.0 * beside + apart)));
-}
-
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 3.6e-15 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double double_pendulum_ideal_normal_least(const double_pendulum_ideal_normal *f, const double *unit)
-{
-    double condition, least;
-    if (unit == NULL) {
-        least = double_pendulum_ideal_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[1], inverse[2], square[2];
-        int i, j, k;
-        for (i = 0, k = 0; i < 2; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = double_pendulum_ideal_least(lower, inverse, square, &condition);
-    }
-    return double_pendulum_ideal_sqrt(least * (1.0 - DOUBLE_PENDULUM_IDEAL_NORMAL_ROUNDING * condition));
-}
-
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double double_pendulum_ideal_qr_least(const double_pendulum_ideal_qr *f, const double *unit, double *share)
-{
-    double lower[1], inverse[2], square[2];
-    double condition, least;
-    int i, j, k;
-    *share = 0.0;
-    if (f->steps < 2) {
-        return 0.0;
-    }
-    for (i = 0, k = 0; i < 2; ++i) {
-        const double_pendulum_ideal_line *const line = f->at[i];
-        const double own = unit[line->row];
-        const double size = 1.0 / own;
-        square[i] = f->total * size * size;
-        inverse[i] = f->inverse[i] * own * own;
-        for (j = 0; j < i; ++j, ++k) {
-            lower[k] = line->l[j] * size * unit[f->at[j]->row];
-        }
-    }
-    least = double_pendulum_ideal_least(lower, inverse, square, &condition);
-    condition = DOUBLE_PENDULUM_IDEAL_LEAST_SHARE
-        - DOUBLE_PENDULUM_IDEAL_LEAST_ROUNDING * double_pendulum_ideal_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return double_pendulum_ideal_sqrt(least);
-}
-
 /* The ladder, from the step `from` on. */
 static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise(const double *S,
     double_pendulum_ideal_factors *f, int from)
@@ -999,48 +917,23 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise(const 
     return double_pendulum_ideal_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
 static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_sigma_min(const double *S,
     double_pendulum_ideal_factors *f)
 {
-    double unit[2];
-    double share;
-    double_pendulum_ideal_word least;
-    int bottom = -DOUBLE_PENDULUM_IDEAL_NO_EXPONENT;
+    const uint64_t magnitude = double_pendulum_ideal_largest(S, 4);
+    const int top = magnitude == 0 ? 0 : double_pendulum_ideal_exponent(magnitude);
+    double u[4];
     int i;
-    if (f->path == DOUBLE_PENDULUM_IDEAL_PATH_SVD) {
-        const uint64_t magnitude = double_pendulum_ideal_largest(S, 4);
-        const int top = magnitude == 0 ? 0 : double_pendulum_ideal_exponent(magnitude);
-        if (f->uniform) {
-            return double_pendulum_ideal_shift(f->sigma[1], top);
-        }
+    if (f->path != DOUBLE_PENDULUM_IDEAL_PATH_SVD || !f->uniform) {
         for (i = 0; i < 2; ++i) {
             f->exponent[i] = top;
         }
         double_pendulum_ideal_scale(S, f->exponent, f->B);
         double_pendulum_ideal_qr_factor(f->B, &f->qr);
+        (void)double_pendulum_ideal_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 2; ++i) {
-        bottom = f->exponent[i] != DOUBLE_PENDULUM_IDEAL_NO_EXPONENT && f->exponent[i] < bottom
-            ? f->exponent[i] : bottom;
-    }
-    for (i = 0; i < 2; ++i) {
-        const int above = f->exponent[i] - bottom; /* a row that is shortened only lowers the bound */
-        unit[i] = double_pendulum_ideal_power(above < DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX / 4
-            ? -above : -(DOUBLE_PENDULUM_IDEAL_EXPONENT_MAX / 4));
-    }
-    if (f->path == DOUBLE_PENDULUM_IDEAL_PATH_NORMAL) {
-        least.value = double_pendulum_ideal_normal_least(&f->normal, unit);
-    } else {
-        least.value = double_pendulum_ideal_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == DOUBLE_PENDULUM_IDEAL_PATH_QR ? share : 1.0;
-    }
-    least.value = double_pendulum_ideal_shift(least.value, bottom);
-    /* a subnormal number may have been rounded up */
-    least.bits -= least.bits < DOUBLE_PENDULUM_IDEAL_SMALLEST_NORMAL && least.bits > 0;
-    return least.value;
+    return double_pendulum_ideal_shift(f->sigma[1], top);
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
@@ -1055,6 +948,28 @@ static int double_pendulum_ideal_refuse(int status, double_pendulum_ideal_info *
         info->residual = 0.0;
     }
     return status;
+}
+
+/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double double_pendulum_ideal_norm(const double *v)
+{
+    double square = v[0] * v[0] + v[1] * v[1];
+    const uint64_t biased = double_pendulum_ideal_magnitude(square) >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS;
+    int unit, i;
+    if (biased >= DOUBLE_PENDULUM_IDEAL_ANSWER_LOW && biased <= DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH) {
+        return double_pendulum_ideal_sqrt(square);
+    }
+    unit = double_pendulum_ideal_exponent(double_pendulum_ideal_largest(v, 2));
+    if (unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
+        return 0.0;
+    }
+    square = 0.0;
+    for (i = 0; i < 2; ++i) {
+        const double part = double_pendulum_ideal_shift(v[i], -unit);
+        square += part * part;
+    }
+    return double_pendulum_ideal_shift(double_pendulum_ideal_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1982,10 +1897,22 @@ static int double_pendulum_ideal_solve_known(const double *S, const double *S_pi
     if (double_pendulum_ideal_largest(found, 2) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
         return double_pendulum_ideal_refuse(DOUBLE_PENDULUM_IDEAL_OVERFLOW, info);
     }
-    if (known->rank < 2 || info != NULL) {
+    if (known->rank < 2) {
         const int met = double_pendulum_ideal_consistent(S, z, y, found, &residual);
         if (status == DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_CONSISTENT && !met) {
             status = DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_INCONSISTENT;
+        }
+    } else if (info != NULL) {
+        for (i = 0; i < 2; ++i) {
+            rest[i] = z[i];
+            for (j = 0; j < 2; ++j) {
+                rest[i] -= S[2 * i + j] * found[j];
+            }
+        }
+        residual = double_pendulum_ideal_norm(rest);
+        /* a product has left the range */
+        if (double_pendulum_ideal_magnitude(residual) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
+            (void)double_pendulum_ideal_consistent(S, z, y, found, &residual);
         }
     }
     if (info != NULL) {

@@ -44,9 +44,7 @@ typedef struct double_pendulum_ideal_info {
     int path;           /* DOUBLE_PENDULUM_IDEAL_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
-    double sigma_min; /* smallest of the singular values of G as given,
-        min(m, l) of them; by DOUBLE_PENDULUM_IDEAL_PATH_NORMAL and
-                         DOUBLE_PENDULUM_IDEAL_PATH_QR a proven lower bound, at least 0.91 of it less rounding */
+    double sigma_min; /* smallest of the singular values of G as given, min(m, l) of them */
     double residual;  /* 2-norm of R - G tau; 0 where there is no R */
 } double_pendulum_ideal_info;
 

@@ -41,6 +41,8 @@
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-23. Where an exponent is meant, it is with its bias. */
 #define SKEWED_THRUSTERS_F32_CONSISTENCY 7.6293945e-6f /* a row whose relative residual is at most this is met */
+#define SKEWED_THRUSTERS_F32_ANSWER_LOW 27 /* exponents of a sum of squares with which nothing needs scaling */
+#define SKEWED_THRUSTERS_F32_ANSWER_HIGH 237
 #define SKEWED_THRUSTERS_F32_RTOL 9.536743e-7f /* singular values at or below this part of the largest count as zero */
 #define SKEWED_THRUSTERS_F32_SQUARE_LOW_0 87 /* exponents of row 0's square with which nothing needs scaling */
 #define SKEWED_THRUSTERS_F32_SQUARE_HIGH_0 167
@@ -58,12 +60,7 @@
 #define SKEWED_THRUSTERS_F32_NORMAL_FLOOR 0.00002615795f
 /* up to this bound the normal equations are accurate, and no SVD is needed */
 #define SKEWED_THRUSTERS_F32_NORMAL_LIMIT 38229.297f
-/* what their rounding takes from the square of sigma_min */
-#define SKEWED_THRUSTERS_F32_NORMAL_ROUNDING 0.000022888184f
 #define SKEWED_THRUSTERS_F32_QR_LIMIT 38482907000.0f /* up to this bound times |B|^2 the QR needs no SVD */
-/* what the rounding of the QR takes from a bound of sigma_min, over |B| */
-#define SKEWED_THRUSTERS_F32_LEAST_ROUNDING 4.0578843e-6f
-#define SKEWED_THRUSTERS_F32_LEAST_SHARE 0.99999285f /* what the rounding of the bound itself leaves of it */
 #define SKEWED_THRUSTERS_F32_SMALLEST_SQUARE 7.70372e-34f /* below this the square of a pivot counts as zero */
 /* eps^2: columns with less than this part of all squares are noise */
 #define SKEWED_THRUSTERS_F32_NEGLIGIBLE 1.4210855e-14f
@@ -270,7 +267,6 @@ static SKEWED_THRUSTERS_F32_INLINE_WITH_VECTORS float skewed_thrusters_f32_inner
 typedef struct skewed_thrusters_f32_normal {
     float lower[15]; /* L below its unit diagonal, row by row */
     float inverse[6]; /* 1 / D */
-    float square[6];  /* the squared lengths of the rows of B */
 } skewed_thrusters_f32_normal;
 
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -421,17 +417,11 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
     f->inverse[3] = i_3;
-    f->square[3] = g_3_3;
     f->inverse[4] = i_4;
-    f->square[4] = g_4_4;
     f->inverse[5] = i_5;
-    f->square[5] = g_5_5;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -965,138 +955,6 @@ static SKEWED_THRUSTERS_F32_NOINLINE int skewed_thrusters_f32_factorise_svd(cons
     return SKEWED_THRUSTERS_F32_OK;
 }
 
-/* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.76 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_least(const float *lower, const float *inverse,
-    const float *square, float *condition)
-{
-    const float k_1_0 = -(lower[0]);
-    const float k_2_1 = -(lower[2]);
-    const float k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const float k_3_2 = -(lower[5]);
-    const float k_3_1 = -(lower[4] + k_3_2 * lower[2]);
-    const float k_3_0 = -(lower[3] + k_3_2 * lower[1] + k_3_1 * lower[0]);
-    const float k_4_3 = -(lower[9]);
-    const float k_4_2 = -(lower[8] + k_4_3 * lower[5]);
-    const float k_4_1 = -(lower[7] + k_4_3 * lower[4] + k_4_2 * lower[2]);
-    const float k_4_0 = -(lower[6] + k_4_3 * lower[3] + k_4_2 * lower[1] + k_4_1 * lower[0]);
-    const float k_5_4 = -(lower[14]);
-    const float k_5_3 = -(lower[13] + k_5_4 * lower[9]);
-    const float k_5_2 = -(lower[12] + k_5_4 * lower[8] + k_5_3 * lower[5]);
-    const float k_5_1 = -(lower[11] + k_5_4 * lower[7] + k_5_3 * lower[4] + k_5_2 * lower[2]);
-    const float k_5_0 = -(lower[10] + k_5_4 * lower[6] + k_5_3 * lower[3] + k_5_2 * lower[1] + k_5_1 * lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float a_2_0 = inverse[2] * k_2_0;
-    const float a_2_1 = inverse[2] * k_2_1;
-    const float a_3_0 = inverse[3] * k_3_0;
-    const float a_3_1 = inverse[3] * k_3_1;
-    const float a_3_2 = inverse[3] * k_3_2;
-    const float a_4_0 = inverse[4] * k_4_0;
-    const float a_4_1 = inverse[4] * k_4_1;
-    const float a_4_2 = inverse[4] * k_4_2;
-    const float a_4_3 = inverse[4] * k_4_3;
-    const float a_5_0 = inverse[5] * k_5_0;
-    const float a_5_1 = inverse[5] * k_5_1;
-    const float a_5_2 = inverse[5] * k_5_2;
-    const float a_5_3 = inverse[5] * k_5_3;
-    const float a_5_4 = inverse[5] * k_5_4;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0 + a_3_0 * k_3_0 + a_4_0 * k_4_0 + a_5_0 * k_5_0;
-    const float h_1 = inverse[1] + a_2_1 * k_2_1 + a_3_1 * k_3_1 + a_4_1 * k_4_1 + a_5_1 * k_5_1;
-    const float h_2 = inverse[2] + a_3_2 * k_3_2 + a_4_2 * k_4_2 + a_5_2 * k_5_2;
-    const float h_3 = inverse[3] + a_4_3 * k_4_3 + a_5_3 * k_5_3;
-    const float h_4 = inverse[4] + a_5_4 * k_5_4;
-    const float h_5 = inverse[5];
-    const float trace = (h_0 + h_1 + h_2) + (h_3 + h_4 + h_5);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0 + a_2_1 * k_2_0 + a_3_1 * k_3_0 + a_4_1 * k_4_0 + a_5_1 * k_5_0) * unit;
-    const float h_2_0 = (a_2_0 + a_3_2 * k_3_0 + a_4_2 * k_4_0 + a_5_2 * k_5_0) * unit;
-    const float h_3_0 = (a_3_0 + a_4_3 * k_4_0 + a_5_3 * k_5_0) * unit;
-    const float h_4_0 = (a_4_0 + a_5_4 * k_5_0) * unit;
-    const float h_5_0 = (a_5_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0 + h_3_0 * h_3_0 + h_4_0 * h_4_0 + h_5_0 * h_5_0;
-    const float h_2_1 = (a_2_1 + a_3_2 * k_3_1 + a_4_2 * k_4_1 + a_5_2 * k_5_1) * unit;
-    const float h_3_1 = (a_3_1 + a_4_3 * k_4_1 + a_5_3 * k_5_1) * unit;
-    const float h_4_1 = (a_4_1 + a_5_4 * k_5_1) * unit;
-    const float h_5_1 = (a_5_1) * unit;
-    const float beside_1 = h_2_1 * h_2_1 + h_3_1 * h_3_1 + h_4_1 * h_4_1 + h_5_1 * h_5_1;
-    const float h_3_2 = (a_3_2 + a_4_3 * k_4_2 + a_5_3 * k_5_2) * unit;
-    const float h_4_2 = (a_4_2 + a_5_4 * k_5_2) * unit;
-    const float h_5_2 = (a_5_2) * unit;
-    const float beside_2 = h_3_2 * h_3_2 + h_4_2 * h_4_2 + h_5_2 * h_5_2;
-    const float h_4_3 = (a_4_3 + a_5_4 * k_5_3) * unit;
-    const float h_5_3 = (a_5_3) * unit;
-    const float beside_3 = h_4_3 * h_4_3 + h_5_3 * h_5_3;
-    const float h_5_4 = (a_5_4) * unit;
-    const float beside_4 = h_5_4 * h_5_4;
-    const float beside = beside_0 + beside_1 + beside_2 + beside_3 + beside_4;
-    const float apart_0 = h_0 * unit - 0.16666667f;
-    const float apart_1 = h_1 * unit - 0.16666667f;
-    const float apart_2 = h_2 * unit - 0.16666667f;
-    const float apart_3 = h_3 * unit - 0.16666667f;
-    const float apart_4 = h_4 * unit - 0.16666667f;
-    const float apart_5 = h_5 * unit - 0.16666667f;
-    const float apart = (apart_0 * apart_0 + apart_1 * apart_1 + apart_2 * apart_2)
-        + (apart_3 * apart_3 + apart_4 * apart_4 + apart_5 * apart_5);
-    *condition = (square[0] * h_0 + square[1] * h_1 + square[2] * h_2)
-        + (square[3] * h_3 + square[4] * h_4 + square[5] * h_5);
-    return unit / (0.16666667f + skewed_thrusters_f32_sqrt(0.8333333f * (2.0f * beside + apart)));
-}
-
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 2.3e-05 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float skewed_thrusters_f32_normal_least(const skewed_thrusters_f32_normal *f, const float *unit)
-{
-    float condition, least;
-    if (unit == NULL) {
-        least = skewed_thrusters_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[15], inverse[6], square[6];
-        int i, j, k;
-        for (i = 0, k = 0; i < 6; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = skewed_thrusters_f32_least(lower, inverse, square, &condition);
-    }
-    return skewed_thrusters_f32_sqrt(least * (1.0f - SKEWED_THRUSTERS_F32_NORMAL_ROUNDING * condition));
-}
-
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float skewed_thrusters_f32_qr_least(const skewed_thrusters_f32_qr *f, const float *unit, float *share)
-{
-    float lower[15], inverse[6], square[6];
-    float condition, least;
-    int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 6) {
-        return 0.0f;
-    }
-    for (i = 0, k = 0; i < 6; ++i) {
-        const skewed_thrusters_f32_line *const line = f->at[i];
-        const float own = unit[line->row];
-        const float size = 1.0f / own;
-        square[i] = f->total * size * size;
-        inverse[i] = f->inverse[i] * own * own;
-        for (j = 0; j < i; ++j, ++k) {
-            lower[k] = line->l[j] * size * unit[f->at[j]->row];
-        }
-    }
-    least = skewed_thrusters_f32_least(lower, inverse, square, &condition);
-    condition = SKEWED_THRUSTERS_F32_LEAST_SHARE
-        - SKEWED_THRUSTERS_F32_LEAST_ROUNDING * skewed_thrusters_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return skewed_thrusters_f32_sqrt(least);
-}
-
 /* The ladder, from the step `from` on. */
 static SKEWED_THRUSTERS_F32_NOINLINE int skewed_thrusters_f32_factorise(const float *S,
     skewed_thrusters_f32_factors *f, int from)
@@ -1143,48 +1001,23 @@ static SKEWED_THRUSTERS_F32_NOINLINE int skewed_thrusters_f32_factorise(const fl
     return skewed_thrusters_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
 static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_sigma_min(const float *S,
     skewed_thrusters_f32_factors *f)
 {
-    float unit[6];
-    float share;
-    skewed_thrusters_f32_word least;
-    int bottom = -SKEWED_THRUSTERS_F32_NO_EXPONENT;
+    const uint32_t magnitude = skewed_thrusters_f32_largest(S, 48);
+    const int top = magnitude == 0 ? 0 : skewed_thrusters_f32_exponent(magnitude);
+    float u[48];
     int i;
-    if (f->path == SKEWED_THRUSTERS_F32_PATH_SVD) {
-        const uint32_t magnitude = skewed_thrusters_f32_largest(S, 48);
-        const int top = magnitude == 0 ? 0 : skewed_thrusters_f32_exponent(magnitude);
-        if (f->uniform) {
-            return skewed_thrusters_f32_shift(f->sigma[5], top);
-        }
+    if (f->path != SKEWED_THRUSTERS_F32_PATH_SVD || !f->uniform) {
         for (i = 0; i < 6; ++i) {
             f->exponent[i] = top;
         }
         skewed_thrusters_f32_scale(S, f->exponent, f->B);
         skewed_thrusters_f32_qr_factor(f->B, &f->qr);
+        (void)skewed_thrusters_f32_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 6; ++i) {
-        bottom = f->exponent[i] != SKEWED_THRUSTERS_F32_NO_EXPONENT && f->exponent[i] < bottom
-            ? f->exponent[i] : bottom;
-    }
-    for (i = 0; i < 6; ++i) {
-        const int above = f->exponent[i] - bottom; /* a row that is shortened only lowers the bound */
-        unit[i] = skewed_thrusters_f32_power(above < SKEWED_THRUSTERS_F32_EXPONENT_MAX / 4
-            ? -above : -(SKEWED_THRUSTERS_F32_EXPONENT_MAX / 4));
-    }
-    if (f->path == SKEWED_THRUSTERS_F32_PATH_NORMAL) {
-        least.value = skewed_thrusters_f32_normal_least(&f->normal, unit);
-    } else {
-        least.value = skewed_thrusters_f32_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == SKEWED_THRUSTERS_F32_PATH_QR ? share : 1.0f;
-    }
-    least.value = skewed_thrusters_f32_shift(least.value, bottom);
-    /* a subnormal number may have been rounded up */
-    least.bits -= least.bits < SKEWED_THRUSTERS_F32_SMALLEST_NORMAL && least.bits > 0;
-    return least.value;
+    return skewed_thrusters_f32_shift(f->sigma[5], top);
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
@@ -1199,6 +1032,28 @@ static int skewed_thrusters_f32_refuse(int status, skewed_thrusters_f32_info *in
         info->residual = 0.0f;
     }
     return status;
+}
+
+/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float skewed_thrusters_f32_norm(const float *v)
+{
+    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
+    const uint32_t biased = skewed_thrusters_f32_magnitude(square) >> SKEWED_THRUSTERS_F32_FRACTION_BITS;
+    int unit, i;
+    if (biased >= SKEWED_THRUSTERS_F32_ANSWER_LOW && biased <= SKEWED_THRUSTERS_F32_ANSWER_HIGH) {
+        return skewed_thrusters_f32_sqrt(square);
+    }
+    unit = skewed_thrusters_f32_exponent(skewed_thrusters_f32_largest(v, 6));
+    if (unit == SKEWED_THRUSTERS_F32_NO_EXPONENT) {
+        return 0.0f;
+    }
+    square = 0.0f;
+    for (i = 0; i < 6; ++i) {
+        const float part = skewed_thrusters_f32_shift(v[i], -unit);
+        square += part * part;
+    }
+    return skewed_thrusters_f32_shift(skewed_thrusters_f32_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -2040,10 +1895,22 @@ static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
     if (skewed_thrusters_f32_largest(found, 8) >= SKEWED_THRUSTERS_F32_INFINITY_BITS) {
         return skewed_thrusters_f32_refuse(SKEWED_THRUSTERS_F32_OVERFLOW, info);
     }
-    if (known->rank < 6 || info != NULL) {
+    if (known->rank < 6) {
         const int met = skewed_thrusters_f32_consistent(S, z, y, found, &residual);
         if (status == SKEWED_THRUSTERS_F32_RANK_DEFICIENT_CONSISTENT && !met) {
             status = SKEWED_THRUSTERS_F32_RANK_DEFICIENT_INCONSISTENT;
+        }
+    } else if (info != NULL) {
+        for (i = 0; i < 6; ++i) {
+            rest[i] = z[i];
+            for (j = 0; j < 8; ++j) {
+                rest[i] -= S[8 * i + j] * found[j];
+            }
+        }
+        residual = skewed_thrusters_f32_norm(rest);
+        /* a product has left the range */
+        if (skewed_thrusters_f32_magnitude(residual) >= SKEWED_THRUSTERS_F32_INFINITY_BITS) {
+            (void)skewed_thrusters_f32_consistent(S, z, y, found, &residual);
         }
     }
     if (info != NULL) {

@@ -44,9 +44,7 @@ typedef struct skewed_thrusters_f32_info {
     int path;           /* SKEWED_THRUSTERS_F32_PATH_... */
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
-    float sigma_min; /* smallest of the singular values of S as given,
-        min(m, l) of them; by SKEWED_THRUSTERS_F32_PATH_NORMAL and
-                         SKEWED_THRUSTERS_F32_PATH_QR a proven lower bound, at least 0.76 of it less rounding */
+    float sigma_min; /* smallest of the singular values of S as given, min(m, l) of them */
     float residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } skewed_thrusters_f32_info;
 

@@ -41,6 +41,8 @@
 
 /* Limits of this solver, by servogen's numerics.md. eps is 2^-52. Where an exponent is meant, it is with its bias. */
 #define SKEWED_THRUSTERS_CONSISTENCY 1.4210854715202004e-14 /* a row whose relative residual is at most this is met */
+#define SKEWED_THRUSTERS_ANSWER_LOW 23 /* exponents of a sum of squares with which nothing needs scaling */
+#define SKEWED_THRUSTERS_ANSWER_HIGH 1923
 /* singular values at or below this part of the largest count as zero */
 #define SKEWED_THRUSTERS_RTOL 1.7763568394002505e-15
 #define SKEWED_THRUSTERS_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
@@ -59,12 +61,7 @@
 #define SKEWED_THRUSTERS_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
 #define SKEWED_THRUSTERS_NORMAL_LIMIT 27271342415.357616
-/* what their rounding takes from the square of sigma_min */
-#define SKEWED_THRUSTERS_NORMAL_ROUNDING 4.263256414560601e-14
 #define SKEWED_THRUSTERS_QR_LIMIT 1.1091942751997008e+28 /* up to this bound times |B|^2 the QR needs no SVD */
-/* what the rounding of the QR takes from a bound of sigma_min, over |B| */
-#define SKEWED_THRUSTERS_LEAST_ROUNDING 7.558398351648066e-15
-#define SKEWED_THRUSTERS_LEAST_SHARE 0.9999999999999867 /* what the rounding of the bound itself leaves of it */
 #define SKEWED_THRUSTERS_SMALLEST_SQUARE 1.1830521861667747e-271 /* below this the square of a pivot counts as zero */
 /* eps^2: columns with less than this part of all squares are noise */
 #define SKEWED_THRUSTERS_NEGLIGIBLE 4.930380657631324e-32
@@ -267,7 +264,6 @@ static SKEWED_THRUSTERS_INLINE_WITH_VECTORS double skewed_thrusters_inner(const 
 typedef struct skewed_thrusters_normal {
     double lower[15]; /* L below its unit diagonal, row by row */
     double inverse[6]; /* 1 / D */
-    double square[6];  /* the squared lengths of the rows of B */
 } skewed_thrusters_normal;
 
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -414,17 +410,11 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
     f->inverse[3] = i_3;
-    f->square[3] = g_3_3;
     f->inverse[4] = i_4;
-    f->square[4] = g_4_4;
     f->inverse[5] = i_5;
-    f->square[5] = g_5_5;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -957,137 +947,6 @@ static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise_svd(const double
     return SKEWED_THRUSTERS_OK;
 }
 
-/* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.76 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_least(const double *lower, const double *inverse,
-    const double *square, double *condition)
-{
-    const double k_1_0 = -(lower[0]);
-    const double k_2_1 = -(lower[2]);
-    const double k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const double k_3_2 = -(lower[5]);
-    const double k_3_1 = -(lower[4] + k_3_2 * lower[2]);
-    const double k_3_0 = -(lower[3] + k_3_2 * lower[1] + k_3_1 * lower[0]);
-    const double k_4_3 = -(lower[9]);
-    const double k_4_2 = -(lower[8] + k_4_3 * lower[5]);
-    const double k_4_1 = -(lower[7] + k_4_3 * lower[4] + k_4_2 * lower[2]);
-    const double k_4_0 = -(lower[6] + k_4_3 * lower[3] + k_4_2 * lower[1] + k_4_1 * lower[0]);
-    const double k_5_4 = -(lower[14]);
-    const double k_5_3 = -(lower[13] + k_5_4 * lower[9]);
-    const double k_5_2 = -(lower[12] + k_5_4 * lower[8] + k_5_3 * lower[5]);
-    const double k_5_1 = -(lower[11] + k_5_4 * lower[7] + k_5_3 * lower[4] + k_5_2 * lower[2]);
-    const double k_5_0 = -(lower[10] + k_5_4 * lower[6] + k_5_3 * lower[3] + k_5_2 * lower[1] + k_5_1 * lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double a_2_0 = inverse[2] * k_2_0;
-    const double a_2_1 = inverse[2] * k_2_1;
-    const double a_3_0 = inverse[3] * k_3_0;
-    const double a_3_1 = inverse[3] * k_3_1;
-    const double a_3_2 = inverse[3] * k_3_2;
-    const double a_4_0 = inverse[4] * k_4_0;
-    const double a_4_1 = inverse[4] * k_4_1;
-    const double a_4_2 = inverse[4] * k_4_2;
-    const double a_4_3 = inverse[4] * k_4_3;
-    const double a_5_0 = inverse[5] * k_5_0;
-    const double a_5_1 = inverse[5] * k_5_1;
-    const double a_5_2 = inverse[5] * k_5_2;
-    const double a_5_3 = inverse[5] * k_5_3;
-    const double a_5_4 = inverse[5] * k_5_4;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0 + a_3_0 * k_3_0 + a_4_0 * k_4_0 + a_5_0 * k_5_0;
-    const double h_1 = inverse[1] + a_2_1 * k_2_1 + a_3_1 * k_3_1 + a_4_1 * k_4_1 + a_5_1 * k_5_1;
-    const double h_2 = inverse[2] + a_3_2 * k_3_2 + a_4_2 * k_4_2 + a_5_2 * k_5_2;
-    const double h_3 = inverse[3] + a_4_3 * k_4_3 + a_5_3 * k_5_3;
-    const double h_4 = inverse[4] + a_5_4 * k_5_4;
-    const double h_5 = inverse[5];
-    const double trace = (h_0 + h_1 + h_2) + (h_3 + h_4 + h_5);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0 + a_2_1 * k_2_0 + a_3_1 * k_3_0 + a_4_1 * k_4_0 + a_5_1 * k_5_0) * unit;
-    const double h_2_0 = (a_2_0 + a_3_2 * k_3_0 + a_4_2 * k_4_0 + a_5_2 * k_5_0) * unit;
-    const double h_3_0 = (a_3_0 + a_4_3 * k_4_0 + a_5_3 * k_5_0) * unit;
-    const double h_4_0 = (a_4_0 + a_5_4 * k_5_0) * unit;
-    const double h_5_0 = (a_5_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0 + h_3_0 * h_3_0 + h_4_0 * h_4_0 + h_5_0 * h_5_0;
-    const double h_2_1 = (a_2_1 + a_3_2 * k_3_1 + a_4_2 * k_4_1 + a_5_2 * k_5_1) * unit;
-    const double h_3_1 = (a_3_1 + a_4_3 * k_4_1 + a_5_3 * k_5_1) * unit;
-    const double h_4_1 = (a_4_1 + a_5_4 * k_5_1) * unit;
-    const double h_5_1 = (a_5_1) * unit;
-    const double beside_1 = h_2_1 * h_2_1 + h_3_1 * h_3_1 + h_4_1 * h_4_1 + h_5_1 * h_5_1;
-    const double h_3_2 = (a_3_2 + a_4_3 * k_4_2 + a_5_3 * k_5_2) * unit;
-    const double h_4_2 = (a_4_2 + a_5_4 * k_5_2) * unit;
-    const double h_5_2 = (a_5_2) * unit;
-    const double beside_2 = h_3_2 * h_3_2 + h_4_2 * h_4_2 + h_5_2 * h_5_2;
-    const double h_4_3 = (a_4_3 + a_5_4 * k_5_3) * unit;
-    const double h_5_3 = (a_5_3) * unit;
-    const double beside_3 = h_4_3 * h_4_3 + h_5_3 * h_5_3;
-    const double h_5_4 = (a_5_4) * unit;
-    const double beside_4 = h_5_4 * h_5_4;
-    const double beside = beside_0 + beside_1 + beside_2 + beside_3 + beside_4;
-    const double apart_0 = h_0 * unit - 0.16666666666666666;
-    const double apart_1 = h_1 * unit - 0.16666666666666666;
-    const double apart_2 = h_2 * unit - 0.16666666666666666;
-    const double apart_3 = h_3 * unit - 0.16666666666666666;
-    const double apart_4 = h_4 * unit - 0.16666666666666666;
-    const double apart_5 = h_5 * unit - 0.16666666666666666;
-    const double apart = (apart_0 * apart_0 + apart_1 * apart_1 + apart_2 * apart_2)
-        + (apart_3 * apart_3 + apart_4 * apart_4 + apart_5 * apart_5);
-    *condition = (square[0] * h_0 + square[1] * h_1 + square[2] * h_2)
-        + (square[3] * h_3 + square[4] * h_4 + square[5] * h_5);
-    return unit / (0.16666666666666666 + skewed_thrusters_sqrt(0.8333333333333334 * (2.0 * beside + apart)));
-}
-
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 4.3e-14 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double skewed_thrusters_normal_least(const skewed_thrusters_normal *f, const double *unit)
-{
-    double condition, least;
-    if (unit == NULL) {
-        least = skewed_thrusters_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[15], inverse[6], square[6];
-        int i, j, k;
-        for (i = 0, k = 0; i < 6; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = skewed_thrusters_least(lower, inverse, square, &condition);
-    }
-    return skewed_thrusters_sqrt(least * (1.0 - SKEWED_THRUSTERS_NORMAL_ROUNDING * condition));
-}
-
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double skewed_thrusters_qr_least(const skewed_thrusters_qr *f, const double *unit, double *share)
-{
-    double lower[15], inverse[6], square[6];
-    double condition, least;
-    int i, j, k;
-    *share = 0.0;
-    if (f->steps < 6) {
-        return 0.0;
-    }
-    for (i = 0, k = 0; i < 6; ++i) {
-        const skewed_thrusters_line *const line = f->at[i];
-        const double own = unit[line->row];
-        const double size = 1.0 / own;
-        square[i] = f->total * size * size;
-        inverse[i] = f->inverse[i] * own * own;
-        for (j = 0; j < i; ++j, ++k) {
-            lower[k] = line->l[j] * size * unit[f->at[j]->row];
-        }
-    }
-    least = skewed_thrusters_least(lower, inverse, square, &condition);
-    condition = SKEWED_THRUSTERS_LEAST_SHARE - SKEWED_THRUSTERS_LEAST_ROUNDING * skewed_thrusters_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return skewed_thrusters_sqrt(least);
-}
-
 /* The ladder, from the step `from` on. */
 static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise(const double *S, skewed_thrusters_factors *f, int from)
 {
@@ -1133,46 +992,22 @@ static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise(const double *S,
     return skewed_thrusters_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
+/* sigma_min of the raw S. Call it last: it takes the place of the factors. */
 static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_sigma_min(const double *S, skewed_thrusters_factors *f)
 {
-    double unit[6];
-    double share;
-    skewed_thrusters_word least;
-    int bottom = -SKEWED_THRUSTERS_NO_EXPONENT;
+    const uint64_t magnitude = skewed_thrusters_largest(S, 48);
+    const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
+    double u[48];
     int i;
-    if (f->path == SKEWED_THRUSTERS_PATH_SVD) {
-        const uint64_t magnitude = skewed_thrusters_largest(S, 48);
-        const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
-        if (f->uniform) {
-            return skewed_thrusters_shift(f->sigma[5], top);
-        }
+    if (f->path != SKEWED_THRUSTERS_PATH_SVD || !f->uniform) {
         for (i = 0; i < 6; ++i) {
             f->exponent[i] = top;
         }
         skewed_thrusters_scale(S, f->exponent, f->B);
         skewed_thrusters_qr_factor(f->B, &f->qr);
+        (void)skewed_thrusters_svd(&f->qr, u, f->sigma);
     }
-    for (i = 0; i < 6; ++i) {
-        bottom = f->exponent[i] != SKEWED_THRUSTERS_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
-    }
-    for (i = 0; i < 6; ++i) {
-        const int above = f->exponent[i] - bottom; /* a row that is shortened only lowers the bound */
-        unit[i] = skewed_thrusters_power(above < SKEWED_THRUSTERS_EXPONENT_MAX / 4
-            ? -above : -(SKEWED_THRUSTERS_EXPONENT_MAX / 4));
-    }
-    if (f->path == SKEWED_THRUSTERS_PATH_NORMAL) {
-        least.value = skewed_thrusters_normal_least(&f->normal, unit);
-    } else {
-        least.value = skewed_thrusters_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == SKEWED_THRUSTERS_PATH_QR ? share : 1.0;
-    }
-    least.value = skewed_thrusters_shift(least.value, bottom);
-    /* a subnormal number may have been rounded up */
-    least.bits -= least.bits < SKEWED_THRUSTERS_SMALLEST_NORMAL && least.bits > 0;
-    return least.value;
+    return skewed_thrusters_shift(f->sigma[5], top);
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
@@ -1187,6 +1022,28 @@ static int skewed_thrusters_refuse(int status, skewed_thrusters_info *info)
         info->residual = 0.0;
     }
     return status;
+}
+
+/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double skewed_thrusters_norm(const double *v)
+{
+    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
+    const uint64_t biased = skewed_thrusters_magnitude(square) >> SKEWED_THRUSTERS_FRACTION_BITS;
+    int unit, i;
+    if (biased >= SKEWED_THRUSTERS_ANSWER_LOW && biased <= SKEWED_THRUSTERS_ANSWER_HIGH) {
+        return skewed_thrusters_sqrt(square);
+    }
+    unit = skewed_thrusters_exponent(skewed_thrusters_largest(v, 6));
+    if (unit == SKEWED_THRUSTERS_NO_EXPONENT) {
+        return 0.0;
+    }
+    square = 0.0;
+    for (i = 0; i < 6; ++i) {
+        const double part = skewed_thrusters_shift(v[i], -unit);
+        square += part * part;
+    }
+    return skewed_thrusters_shift(skewed_thrusters_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -2025,10 +1882,22 @@ static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, c
     if (skewed_thrusters_largest(found, 8) >= SKEWED_THRUSTERS_INFINITY_BITS) {
         return skewed_thrusters_refuse(SKEWED_THRUSTERS_OVERFLOW, info);
     }
-    if (known->rank < 6 || info != NULL) {
+    if (known->rank < 6) {
         const int met = skewed_thrusters_consistent(S, z, y, found, &residual);
         if (status == SKEWED_THRUSTERS_RANK_DEFICIENT_CONSISTENT && !met) {
             status = SKEWED_THRUSTERS_RANK_DEFICIENT_INCONSISTENT;
+        }
+    } else if (info != NULL) {
+        for (i = 0; i < 6; ++i) {
+            rest[i] = z[i];
+            for (j = 0; j < 8; ++j) {
+                rest[i] -= S[8 * i + j] * found[j];
+            }
+        }
+        residual = skewed_thrusters_norm(rest);
+        /* a product has left the range */
+        if (skewed_thrusters_magnitude(residual) >= SKEWED_THRUSTERS_INFINITY_BITS) {
+            (void)skewed_thrusters_consistent(S, z, y, found, &residual);
         }
     }
     if (info != NULL) {

@@ -25,6 +25,8 @@ SWEEPS = "sweeps / cap"
 CAPPED = "NOT_CONVERGED"
 FALSE_NORMAL = "false NORMAL certificates"
 FALSE_QR = "false QR certificates"
+HIGH_BOUND = "bounds of sigma_min above it"
+LOW_BOUND = "bounds of sigma_min below a tenth of it"
 IDLE = "steps that never gave a certificate"
 COMPLAINTS = "compilers that complain"
 NEAR = "residual / (rtol |S| (|x| + |tau|)), z = S x"
@@ -49,6 +51,8 @@ BARS: dict[str, float] = {
     CAPPED: 0,
     FALSE_NORMAL: 0,
     FALSE_QR: 0,
+    HIGH_BOUND: 0,
+    LOW_BOUND: 0,
     IDLE: 0,
     COMPLAINTS: 0,
     NEAR: 10,  # singular values up to 10 rtol may be cut off

@@ -96,9 +96,33 @@ static int proven(const REAL *A, wide bound, int own)
     return 1;
 }
 
+/* Rows in units of their own, which is what sigma_min of the raw S depends on. Adds to counts[0] if info tells a lower bound of
+   it, to [1] if that is above sigma_min, and to [2] if it is below a tenth. */
+static void judge_bound(const REAL *S, uint64_t *counts)
+{
+    REAL graded[ROWS * COLUMNS], z[ROWS], tau[COLUMNS];
+    pinv_info info;
+    int i, j;
+    for (i = 0; i < ROWS; ++i) {
+        const int unit = (int)(40 * uniform()) - 20;
+        z[i] = 1;
+        for (j = 0; j < COLUMNS; ++j) {
+            graded[COLUMNS * i + j] = (REAL)ldexp((double)S[COLUMNS * i + j], unit);
+        }
+    }
+    (void)pinv_solve(graded, z, NULL, tau, &info);
+    if (info.path == PINV_PATH_NORMAL || info.path == PINV_PATH_QR) {
+        const wide square = (wide)info.sigma_min * (wide)info.sigma_min;
+        ++counts[0];
+        counts[1] += !proven(graded, square, 0);
+        counts[2] += proven(graded, 100 * square, 0);
+    }
+}
+
 int main(int argc, char **argv)
 {
     const uint64_t systems = strtoull(argc > 1 ? argv[1] : "1000", NULL, 10);
+    uint64_t bounds[3] = {0, 0, 0};
     uint64_t index, normal = 0, qr = 0, quick = 0, false_normal = 0, false_qr = 0, false_quick = 0;
     state = strtoull(argc > 2 ? argv[2] : "1", NULL, 10);
     for (index = 0; index < systems; ++index) {
@@ -107,6 +131,7 @@ int main(int argc, char **argv)
         pinv_factors f;
         int i, j;
         draw(index, S);
+        judge_bound(S, bounds);
         if (pinv_factorise(S, &f, PINV_PATH_NORMAL) < 0) {
             return 3;
         }
@@ -139,8 +164,9 @@ int main(int argc, char **argv)
             false_quick += !proven(scaled, (wide)RTOL * (wide)RTOL * (wide)total, 0);
         }
     }
-    printf("%llu %llu %llu %llu %llu %llu %llu\n", (unsigned long long)systems, (unsigned long long)normal,
+    printf("%llu %llu %llu %llu %llu %llu %llu ", (unsigned long long)systems, (unsigned long long)normal,
         (unsigned long long)false_normal, (unsigned long long)qr, (unsigned long long)false_qr, (unsigned long long)quick,
         (unsigned long long)false_quick);
+    printf("%llu %llu %llu\n", (unsigned long long)bounds[0], (unsigned long long)bounds[1], (unsigned long long)bounds[2]);
     return 0;
 }

@@ -29,6 +29,9 @@ class FalseCertificates:
     false_qr: int
     quick: int
     false_quick: int
+    bounds: int
+    high_bounds: int
+    low_bounds: int
 
 
 def false_certificates(m: int, l: int, scalar: Scalar, systems: int, seed: int = 1) -> FalseCertificates:

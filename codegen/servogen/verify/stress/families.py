@@ -17,7 +17,9 @@ from servogen.verify.stress.bars import (
     FALSE_NORMAL,
     FALSE_QR,
     GRADED,
+    HIGH_BOUND,
     IDLE,
+    LOW_BOUND,
     NEAR,
     PINV,
     PINV_R,
@@ -444,6 +446,8 @@ def _certificates(task: Task, bench: Bench) -> Iterator[Figure]:
     yield Figure(FALSE_NORMAL, found.false_normal, found.normal)
     yield Figure(FALSE_QR, found.false_qr, found.qr)
     yield Figure(FALSE_QR, found.false_quick, found.quick)
+    yield Figure(HIGH_BOUND, found.high_bounds, found.bounds)
+    yield Figure(LOW_BOUND, found.low_bounds, found.bounds)
     steps = (found.normal, found.qr, found.quick)
     yield Figure(IDLE, float(sum(accepted == 0 for accepted in steps)), found.systems)
 
