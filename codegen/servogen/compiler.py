@@ -122,9 +122,11 @@ def build_solver(
     prefix: str | None = None,
     *,
     math: Math = "own",
+    limits: bool = False,
 ) -> Package:
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12.
 
+    limits: solve takes lower and upper, (l,) each, and answers with least squares within them; not with damping.
     SceneError for other shapes, and for a solver that is no sg.Solver.
     """
     solver = Solver() if solver is None else solver
@@ -133,7 +135,7 @@ def build_solver(
     if not all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in (m, l)):
         raise SceneError(f"sg.build_solver({m!r}, {l!r}): give the rows and the columns of S as whole numbers, 1 to 12")
     m, l = int(m), int(l)
-    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver)
+    module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver, bool(limits))
     return write(render(module), out, module, None)
 
 

@@ -18,10 +18,17 @@ class Status(IntEnum):
     RANK_DEFICIENT_CONSISTENT = 1
     RANK_DEFICIENT_INCONSISTENT = 2
     REGULARISED = 3
+    LIMITED = 4
+    LIMITED_INCONSISTENT = 5
     NONFINITE = -1
     SINGULAR_MASS = -2
     NOT_CONVERGED = -3
     OVERFLOW = -4
+    LIMITS_CROSSED = -5
+
+
+OF_LIMITS = (Status.LIMITED, Status.LIMITED_INCONSISTENT, Status.LIMITS_CROSSED)
+"""What only a package with limits says."""
 
 
 STATUS_MEANING: dict[Status, str] = {
@@ -29,10 +36,13 @@ STATUS_MEANING: dict[Status, str] = {
     Status.RANK_DEFICIENT_CONSISTENT: "rank below the number of constraints, all of them met; minimum norm",
     Status.RANK_DEFICIENT_INCONSISTENT: "the constraints cannot all be met; least squares, minimum norm",
     Status.REGULARISED: "close to a singularity, damping changed the answer",
+    Status.LIMITED: "limits moved the answer, all constraints are still met, or met as far as they were slowed down",
+    Status.LIMITED_INCONSISTENT: "limits keep the constraints from being met; least squares within them",
     Status.NONFINITE: "NaN or infinity among the inputs or parameters; outputs untouched",
     Status.SINGULAR_MASS: "Q is singular, or not positive definite as it was over the domain; outputs untouched",
     Status.NOT_CONVERGED: "an iteration met its cap; outputs untouched",
     Status.OVERFLOW: "a result is not a finite number of this type; outputs untouched",
+    Status.LIMITS_CROSSED: "no number lies between a lower and an upper limit, or NaN there; outputs untouched",
 }
 
 
@@ -64,6 +74,7 @@ class Info:
     """`sigma_min` is the smallest of the min(m, l) singular values of the raw S, `residual` the 2-norm of z - S tau.
 
     By the paths NORMAL and QR sigma_min is a proven lower bound, unless `sg.Solver(sigma_min="exact")` was asked for.
+    Of limits: `scale`, the part of the error dynamics that is kept, and `active`, a bit mask of the controls at one.
     """
 
     status: Status
@@ -72,12 +83,16 @@ class Info:
     sweeps: int
     sigma_min: float
     residual: float
+    scale: float = 1.0
+    active: int = 0
 
     def __repr__(self) -> str:
         """Names for numbers; of a stack, how often each."""
         status, path = _names(Status, self.status), _names(Path, self.path)
         figures = ", ".join(f"{n}={_figure(getattr(self, n))}" for n in ("rank", "sweeps", "sigma_min", "residual"))
-        return f"Info({status}, {path}, {figures})"
+        limited = np.any(np.not_equal(self.scale, 1.0)) or np.any(self.active)
+        bits = f", active={np.bitwise_or.reduce(np.ravel(self.active)):#b}"
+        return f"Info({status}, {path}, {figures}{f', scale={_figure(self.scale)}{bits}' if limited else ''})"
 
 
 def _names(kind: type[IntEnum], value: Any) -> str:

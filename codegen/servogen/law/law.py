@@ -12,6 +12,7 @@ from servogen.law.steps import (
     Call,
     Evaluate,
     Invert,
+    Limit,
     Pattern,
     Project,
     React,
@@ -25,8 +26,9 @@ from servogen.law.steps import (
 
 _DECLARED = ("inputs", "quantities", "solvers")
 
-Form = Literal["step", "evaluation", "tick"]
-"""What a routine may be, for these are what C is printed for: one step; an evaluation and steps on what it leaves, one
+Form = Literal["step", "limited", "evaluation", "tick"]
+"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an
+evaluation and steps on what it leaves, one
 of which is a solve that fills info (without info, one quiet step alone); a call, an input advanced along its answer,
 and a call there."""
 
@@ -51,6 +53,8 @@ class Routine:
         words = [row_of(step).places for step in self.steps]
         if len(words) == 1 and "alone" in words[0]:
             return "step" if self.info else None
+        if self.info and len(self.steps) == 2 and "alone" in words[0] and "limiting" in words[1]:
+            return "limited"
         if words and "first" in words[0]:
             return "evaluation" if _prints(self.steps[1:], self.info) else None
         return "tick" if self._is_tick() else None
@@ -217,7 +221,7 @@ def restricted(law: Law, names: Collection[str]) -> Law:
     )
 
 
-_Solving = Solve | Apply | React | Invert | Project
+_Solving = Solve | Apply | React | Limit | Invert | Project
 
 
 def of_the_state(routine: Routine) -> bool:

@@ -78,6 +78,27 @@ class Multiply:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """into = start where lower <= start <= upper; else least squares of matrix x = right within these limits, and of
+    these answers the one nearest to free (zero where it is ""), in the metric L^T `metric` where that is named.
+
+    start: the answer without limits of a solver's system. slowed: "" or the name of what right may be reduced by,
+    right - (1 - s) slowed with the largest s from 0 to 1 that can be met.
+    """
+
+    into: str
+    solver: str
+    start: str
+    matrix: str
+    right: str
+    lower: str
+    upper: str
+    free: str = ""
+    slowed: str = ""
+    metric: str = ""
+
+
+@dataclass(frozen=True)
 class Invert:
     """into = M+ of a matrix that the caller gives."""
 
@@ -128,12 +149,12 @@ class Call:
     moved: tuple[str, str] | None = None
 
 
-Step = Evaluate | Solve | Apply | React | Multiply | Invert | Project | Advance | Call
+Step = Evaluate | Solve | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
 
 
-Place = Literal["alone", "first", "behind", "quiet", "between"]
+Place = Literal["alone", "first", "behind", "quiet", "between", "limiting"]
 """In a routine of its own; the evaluation that others stand behind; behind one; the only one behind one in a routine
-without info; among calls of routines."""
+without info; among calls of routines; behind a solve of matrices that the caller gives."""
 
 
 @dataclass(frozen=True)
@@ -184,6 +205,18 @@ def _multiplied(step: Multiply, shapes: Mapping[str, Shape]) -> Shape:
     _fits(all(0 <= e < count for e, _ in used), f"the pattern names an entry that {step.entries} has not")
     _fits(all(0 <= j < columns for _, j in used), f"the pattern names a column beyond {step.vector}")
     return len(step.pattern), 1
+
+
+def _limited(step: Limit, shapes: Mapping[str, Shape]) -> Shape:
+    (m, l), right = shapes[step.matrix], shapes[step.right]
+    _fits(right == (m, 1), f"{step.matrix} of {m} x {l} and {step.right} of {right[0]} x {right[1]}")
+    for name in (step.start, step.lower, step.upper, *([step.free] if step.free else [])):
+        _fits(shapes[name] == (l, 1), f"{step.matrix} of {m} x {l} and {name}")
+    if step.slowed:
+        _fits(shapes[step.slowed] == (m, 1), f"{step.matrix} of {m} x {l} and {step.slowed}")
+    if step.metric:
+        _fits(shapes[step.metric] == (l, l), f"{step.matrix} of {m} x {l} and the metric {step.metric}")
+    return l, 1
 
 
 def _projected(step: Project, shapes: Mapping[str, Shape]) -> Shape:
@@ -251,6 +284,20 @@ STEPS: dict[type, Row] = {
         lambda step: (step.entries, step.vector),
         _multiplied,
         (Status.OVERFLOW,),
+        True,
+    ),
+    Limit: Row(
+        "limit",
+        ("limiting",),
+        lambda step: (
+            *(step.start, step.matrix, step.right, step.lower, step.upper),
+            *(name for name in (step.free, step.slowed, step.metric) if name),
+        ),
+        _limited,
+        (
+            *(Status.LIMITED, Status.LIMITED_INCONSISTENT, Status.RANK_DEFICIENT_INCONSISTENT),
+            *(Status.LIMITS_CROSSED, Status.NOT_CONVERGED, Status.OVERFLOW),
+        ),
         True,
     ),
     Invert: Row(

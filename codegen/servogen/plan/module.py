@@ -11,6 +11,7 @@ from servogen.ir.program import Program
 from servogen.ir.telling import told_inputs, watched_outputs
 from servogen.law.law import Law
 from servogen.law.steps import SYSTEM, Apply, Solve
+from servogen.plan.bounds import BoundPlan
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
@@ -134,6 +135,7 @@ class Module:
 
     law: what happens between the kernels. system: the names of what it solves, None where it solves no scene's.
     solvers: the plans of the law's solvers, by name. known_matrix: how the matrix of an Apply is at hand.
+    limits: the plan of the law's Limit.
     """
 
     scene: str
@@ -150,6 +152,7 @@ class Module:
     system: System | None = None
     solvers: Mapping[str, SolverPlan] = field(default_factory=dict)
     known_matrix: KnownMatrix | None = None
+    limits: BoundPlan | None = None
     skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property

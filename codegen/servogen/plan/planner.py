@@ -9,7 +9,8 @@ from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
 from servogen.ir.infix import infix
 from servogen.ir.program import Input, Program
 from servogen.law.law import Law, Routine, check_legal, restricted
-from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Project, Solve, Step, handed_out
+from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Limit, Project, Solve, Step, handed_out
+from servogen.plan.bounds import plan_bounds
 from servogen.plan.chunks import split
 from servogen.plan.known_matrix import plan_known_matrix
 from servogen.plan.mathematics import Math, pair_angles
@@ -67,6 +68,7 @@ def plan(
         system=scene.system,
         solvers=solvers,
         known_matrix=known,
+        limits=plan_bounds(law, solvers),
         skipped=what_is_skipped(formulation, optimised, law, known, solvers, inputs, staged),
     )
 
@@ -129,12 +131,15 @@ def _plan_system(scene: Scene, noise: Sequence[float] | None, scalar: Scalar) ->
     return plan_solver(*scene.system_shape, scalar, solver)
 
 
-def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
-    """The pseudo-inverse alone."""
+def plan_solver_only(m: int, l: int, target: Target, solver: Solver, limits: bool = False) -> Module:
+    """The pseudo-inverse alone; limits: its answer within limits that the caller gives."""
     nothing = Program("nothing", (), (), ())
     planned = plan_solver(m, l, target.scalar, solver)
     name = f"pinv_{m}x{l}"
-    digest = hashlib.sha256(repr(planned).encode()).hexdigest()
+    law = _solver_law(name, m, l, limits)
+    bounds = plan_bounds(law, {SYSTEM: planned})
+    text = repr(planned) + (repr(bounds) if bounds else "")
+    digest = hashlib.sha256(text.encode()).hexdigest()
     planned = dataclasses.replace(planned, root=_root(target))
     return Module(
         name,
@@ -146,17 +151,22 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver) -> Module:
         Prepare(nothing),
         (),
         (),
-        _solver_law(name, m, l),
+        law,
         0.0,
         None,
         {SYSTEM: planned},
+        limits=bounds,
     )
 
 
-def _solver_law(name: str, m: int, l: int) -> Law:
+def _solver_law(name: str, m: int, l: int, limits: bool) -> Law:
     """Its two functions, of matrices that the caller gives."""
     S, z, y = ("S", (m, l)), ("z", (m, 1)), ("y", (l, 1))
     solve = Routine("solve", (Solve("tau", SYSTEM, "S", "z", "y"),), "tau", (S, z, y))
+    if limits:
+        free = Solve("start", SYSTEM, "S", "z", "y")
+        limit = Limit("tau", SYSTEM, "start", "S", "z", "lower", "upper", "y")
+        solve = Routine("solve", (free, limit), "tau", (S, z, y, ("lower", (l, 1)), ("upper", (l, 1))))
     invert = Routine("pinv", (Invert("S_pinv", SYSTEM, "S"),), "S_pinv", (S,))
     return check_legal(Law(name, solvers=((SYSTEM, (m, l)),), routines=(solve, invert)))
 

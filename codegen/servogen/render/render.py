@@ -130,7 +130,7 @@ def _context(module: Module) -> dict[str, Any]:
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
-        numbers = solver_context(module.solver, module.target.prefix, lit)
+        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits)
     else:
         evaluating = (Status.OK, *STEPS[Evaluate].statuses)
         numbers = {
@@ -274,6 +274,8 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
         manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
+        if module.limits is not None:
+            manifest["solver"]["limits"] = module.limits.to_json()
     if module.target.core:
         manifest["core"] = module.target.core
     manifest["files"] = {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files}

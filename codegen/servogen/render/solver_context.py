@@ -3,16 +3,19 @@
 from collections.abc import Callable
 from typing import Any
 
+from servogen.plan.bounds import BoundPlan
 from servogen.plan.solver import SolverPlan
-from servogen.results import PATH_MEANING, STATUS_MEANING, Path, Status
+from servogen.results import OF_LIMITS, PATH_MEANING, STATUS_MEANING, Path, Status
 from servogen.scalars import BITS
 
 PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
 """The names of the solver's equation S tau = z in comments where a scene has none of its own."""
 
 
-def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str]) -> dict[str, Any]:
-    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name."""
+def solver_context(
+    plan: SolverPlan, prefix: str, literal: Callable[[float], str], bound: BoundPlan | None = None
+) -> dict[str, Any]:
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound: of limits, if there are."""
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -23,14 +26,16 @@ def solver_context(plan: SolverPlan, prefix: str, literal: Callable[[float], str
         "named": PLAIN,
         "solved": PLAIN,
         "lit": literal,
-        "statuses": statuses(),
+        "bound": bound,
+        "statuses": statuses(bound is not None),
         "paths": paths(),
     }
 
 
-def statuses() -> list[tuple[str, int, str]]:
-    """Name, number and meaning of each status, the remarks before the refusals."""
-    return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(Status, key=lambda s: (s < 0, abs(s)))]
+def statuses(limited: bool = False) -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each status that there is with limits or without, remarks before refusals."""
+    said = [s for s in Status if limited or s not in OF_LIMITS]
+    return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))]
 
 
 def paths() -> list[tuple[str, int, str]]:

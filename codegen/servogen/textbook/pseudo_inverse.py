@@ -39,7 +39,7 @@ def solve(
         rank = len(sigma)
         status = Status.OK
         if rank < policy.m:
-            met = _consistent(S, z, y, tau, policy)
+            met = consistent(S, z, y, tau, policy)
             status = Status.RANK_DEFICIENT_CONSISTENT if met else Status.RANK_DEFICIENT_INCONSISTENT
         if damped:
             status = Status.REGULARISED
@@ -127,7 +127,7 @@ def _filter(sigma: FloatArray, damped: bool, policy: Policy) -> FloatArray:
     return np.where(ratio < 1, ratio / policy.damping * (2 - ratio**2), plain)
 
 
-def _consistent(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, policy: Policy) -> bool:
+def consistent(S: FloatArray, z: FloatArray, y: FloatArray, tau: FloatArray, policy: Policy) -> bool:
     """Every row met to a small backward error; a row's atol counts as uncertainty of each of its entries."""
     reach = np.linalg.norm(tau) + np.linalg.norm(y)
     size = np.linalg.norm(S, axis=1) * reach + np.abs(z)

@@ -23,11 +23,11 @@ CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 # One call for a stack of systems: a loop in C, so that Python's call costs nothing.
 _STACK = """
 #include "{p}.h"
-void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {limits}{real} *tau, {p}_info *info)
 {{
     long k;
     for (k = 0; k < n; ++k) {{
-        {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, tau + k * {l}, info + k);
+        {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, {at}tau + k * {l}, info + k);
     }}
 }}
 void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
@@ -57,7 +57,12 @@ class Built(Protocol):
 
 def stack_source(module: Module) -> str:
     """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
-    return _STACK.format(p=module.target.prefix, real=module.target.real, **_shape(module))
+    real, shape = module.target.real, _shape(module)
+    limits, at = "", ""
+    if module.limits is not None:
+        limits = f"const {real} *lower, const {real} *upper, "
+        at = "lower + k * {l}, upper + k * {l}, ".format(**shape)
+    return _STACK.format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
 
 
 def load_package(
@@ -124,17 +129,30 @@ def _model_struct(module: Module) -> Any:
     size = module.solver.m * module.solver.l
     fields = (*module.model, StructField("known_matrix", size), StructField("known_pinv", size))
     base = _struct("model", fields, module.target.scalar)
-    return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module.target.scalar))]})
+    return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module))]})
 
 
-def _info_struct(scalar: Scalar) -> Any:
-    members = [*((n, ct.c_int) for n in INFO_INTEGERS), *((n, c_real(scalar)) for n in INFO_REALS)]
+def _members(module: Module) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Of <prefix>_info: integers, numbers, and the integers of limits behind them."""
+    if module.limits is None:
+        return INFO_INTEGERS, INFO_REALS, ()
+    return INFO_INTEGERS, (*INFO_REALS, "scale"), ("active",)
+
+
+def _info_struct(module: Module) -> Any:
+    integers, numbers, behind = _members(module)
+    real = c_real(module.target.scalar)
+    members = [*((n, ct.c_int) for n in integers), *((n, real) for n in numbers), *((n, ct.c_int) for n in behind)]
     return type("info", (ct.Structure,), {"_fields_": members})
 
 
-def _info_dtype(scalar: Scalar) -> np.dtype[Any]:
+def _info_dtype(module: Module) -> np.dtype[Any]:
     """An array of infos, as C lays it out."""
-    return np.dtype([*((n, "i4") for n in INFO_INTEGERS), *((n, np.dtype(scalar)) for n in INFO_REALS)], align=True)
+    integers, numbers, behind = _members(module)
+    real = np.dtype(module.target.scalar)
+    return np.dtype(
+        [*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True
+    )
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -161,7 +179,7 @@ class CompiledTwin(Twin):
         self._library = library
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
-        self._info_type = _info_struct(scalar)
+        self._info_type = _info_struct(module)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
@@ -260,7 +278,7 @@ class CompiledTwin(Twin):
     def _control_batch(
         self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
     ) -> Batch:
-        info = np.zeros(states.count, _info_dtype(self.scalar))
+        info = np.zeros(states.count, _info_dtype(self._module))
         status = run(self._call(entry, *numbers), states, value, info, threads)
         info["status"] = status  # prepare's, where it refused a state's parameters
         info[status < 0] = _refused(info.dtype, status[status < 0])
@@ -292,13 +310,19 @@ class CompiledSolver:
         self.dtype = np.dtype(module.target.scalar)
         self._library = library
         self._prefix = module.target.prefix
-        self._info_type = _info_dtype(module.target.scalar)
+        self.limited = module.limits is not None
+        self._info_type = _info_dtype(module)
 
     def __repr__(self) -> str:
         return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"
 
-    def solve(self, S: Any, z: Any, y: Any = None, last: Any = None) -> tuple[FloatArray, Info]:
-        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front."""
+    def solve(
+        self, S: Any, z: Any, y: Any = None, last: Any = None, *, lower: Any = None, upper: Any = None
+    ) -> tuple[FloatArray, Info]:
+        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front.
+
+        lower, upper: (l,), limits of tau, for a solver that was built with limits; None: no limit.
+        """
         S, many = self._stack(S, (self.m, self.l), "S")
         z, _ = self._stack(z, (self.m,), "z", len(S))
         y = None if y is None else self._stack(y, (self.l,), "y", len(S))[0]
@@ -306,7 +330,20 @@ class CompiledSolver:
             np.zeros((len(S), self.l), self.dtype) if last is None else self._stack(last, (self.l,), "last", len(S))[0]
         )
         tau = tau.copy()
-        return self._call("solve_stack", many, [S, z, y], tau)
+        return self._call("solve_stack", many, [S, z, y, *self._limits(lower, upper, len(S))], tau)
+
+    def _limits(self, lower: Any, upper: Any, count: int) -> list[FloatArray]:
+        """Both limits, a stack of each; none for a solver without. TypeError for limits that it cannot take."""
+        if not self.limited:
+            if lower is not None or upper is not None:
+                raise TypeError("this solver takes no limits; build it with sg.build_solver(..., limits=True)")
+            return []
+        stacks = []
+        for name, given, none in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
+            value = np.full((count, self.l), none, self.dtype) if given is None else np.asarray(given, self.dtype)
+            value = np.broadcast_to(value, (count, self.l)) if value.ndim < 2 and value.size in (1, self.l) else value
+            stacks.append(self._stack(value, (self.l,), name, count)[0])
+        return stacks
 
     def pinv(self, S: Any, last: Any = None) -> tuple[FloatArray, Info]:
         """S+ of shape (l, m), or (N, l, m)."""
@@ -340,5 +377,4 @@ class CompiledSolver:
         status = Status(int(one["status"]))
         if status < 0:
             return out[0], refusal(status)
-        numbers = (int(one["rank"]), int(one["sweeps"]), float(one["sigma_min"]), float(one["residual"]))
-        return out[0], Info(status, Path(int(one["path"])), *numbers)
+        return out[0], Info(status, Path(int(one["path"])), *(one[name].item() for name in one.dtype.names[2:]))
