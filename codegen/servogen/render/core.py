@@ -171,7 +171,9 @@ def _shareable(block: Block, renamed: Mapping[str, str], names: "_Names") -> Blo
     inline = block.kind == "#" or (
         all(names.rest(n)[1] in names.of_scalar for n in block.names) and block.text.count("\n") <= _SHORT
     )
-    text = _renamed(block.text, renamed)
+    # what stands above a constant is of a group, whose first one is another in another package
+    code = re.sub(r"\A(?:/\*(?:[^*]|\*(?!/))*\*/\n)+(?=#define)", "", block.text)
+    text = _renamed(code, renamed)
     if "(" in text and block.kind in ("function", "#"):
         attributes = r"(?:inline |\w+_(?:ALWAYS_INLINE|INLINE_WITH_VECTORS) )?"
         text = re.sub(rf"^static {attributes}(?=[^;={{}}]*\()", "static ", text, flags=re.M)
