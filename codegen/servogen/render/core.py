@@ -23,6 +23,9 @@ from servogen.scene.solver import Solver
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _DEFINED = re.compile(r"^#define (\w+)", re.MULTILINE)
 _FUNCTION = re.compile(r"^(?:static )?[^;{}=#/]*?\b(\w+)\([^;{}]*\)\n\{$", re.MULTILINE)
+_OF_SCENES = r"copy|finite|mass_status|input_finite|reason|piece_\w+|eval_\w+|prepare"
+"""With the first of these functions begins what a package has behind its solvers."""
+
 _HEADING_OF_NOTHING = re.compile(r"/\* ----(?:[^*]|\*(?!/))*\*/\n+(?=/\* ----)")
 _OF_ROWS = re.compile(r"atol|ATOL|ROOT_L|SQUARE_(LOW|HIGH|FLOOR)(_\d+)?")
 """What a solver has of the tolerances of its rows, which are the scene's."""
@@ -127,8 +130,9 @@ def cut_out(text: str, module: Module, of_words: str) -> tuple[str, Mapping[str,
     """
     prefix = module.target.prefix
     names = _Names(module, {n for block, _, _ in blocks_of(of_words) for n in block.names})
-    head = text.find("/* ---- the model and the constraints")
-    placed = [(b, i, j, head < 0 or i < head) for b, i, j in blocks_of(text)]
+    first = re.search(rf"^[^\n]*\b{prefix}_(?:{_OF_SCENES})\(", text, re.MULTILINE)
+    head = len(text) if first is None else first.start()
+    placed = [(b, i, j, i < head) for b, i, j in blocks_of(text)]
     aliases = [(i, j) for b, i, j, _ in placed if b.text.startswith(f"typedef {prefix}_info ")]
     shared = [
         (b, i, j)
@@ -171,7 +175,9 @@ def _shareable(block: Block, renamed: Mapping[str, str], names: "_Names") -> Blo
     inline = block.kind == "#" or (
         all(names.rest(n)[1] in names.of_scalar for n in block.names) and block.text.count("\n") <= _SHORT
     )
-    text = _renamed(block.text, renamed)
+    # what stands above a constant is of a group, whose first one is another in another package
+    code = re.sub(r"\A(?:/\*(?:[^*]|\*(?!/))*\*/\n)+(?=#define)", "", block.text)
+    text = _renamed(code, renamed)
     if "(" in text and block.kind in ("function", "#"):
         attributes = r"(?:inline |\w+_(?:ALWAYS_INLINE|INLINE_WITH_VECTORS) )?"
         text = re.sub(rf"^static {attributes}(?=[^;={{}}]*\()", "static ", text, flags=re.M)
