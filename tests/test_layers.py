@@ -44,3 +44,20 @@ def _imports(tree: ast.AST) -> Iterator[str]:
             yield from [parts[1]] if len(parts) > 1 else [name.name for name in node.names]
         elif isinstance(node, ast.Import):
             yield from (a.name.split(".")[1] for a in node.names if a.name.startswith("servogen."))
+
+
+def test_the_reference_takes_nothing_from_the_code_it_judges() -> None:
+    """Not even by way of others: what a scene means comes from scene and derive, every number from textbook."""
+    waiting, reached = ["servogen.twins.reference"], set[str]()
+    while waiting:
+        module = waiting.pop()
+        file = ROOT.parent / (module.replace(".", "/") + ".py")
+        if module in reached or not file.exists():
+            continue
+        reached.add(module)
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                waiting += [node.module, *(f"{node.module}.{name.name}" for name in node.names)]
+    assert {"servogen.textbook.policy", "servogen.derive.servo"} <= reached
+    ours = ("servogen.optimise.", "servogen.plan.", "servogen.render.", "servogen.survey.", "servogen.compiler")
+    assert not [module for module in reached if module.startswith(ours)]

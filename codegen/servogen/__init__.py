@@ -12,6 +12,7 @@ from servogen.remarks import Remark
 from servogen.results import Batch, Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
 from servogen.scene.mechanism import Mechanism
+from servogen.scene.passive import PassiveHolonomic, PassiveNonholonomic
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Parameter, Parameters, Ref, References
@@ -33,6 +34,8 @@ __all__ = [
     "Package",
     "Parameter",
     "Parameters",
+    "PassiveHolonomic",
+    "PassiveNonholonomic",
     "Path",
     "Ref",
     "References",

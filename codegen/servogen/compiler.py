@@ -21,7 +21,7 @@ from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.remarks import say
 from servogen.render.render import render, render_with_core
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.names import check_identifier
+from servogen.scene.names import check_file_name
 from servogen.scene.review import review
 from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene, check_scene
@@ -185,9 +185,9 @@ def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own"
     default = name if scalar == "float64" else f"{name}_f32"
     return Target(
         scalar,
-        check_identifier(default if prefix is None else prefix, "prefix"),
+        check_file_name(default if prefix is None else prefix, "prefix"),
         math,
-        "" if core is None else check_identifier(core, "core"),
+        "" if core is None else check_file_name(core, "core"),
     )
 
 

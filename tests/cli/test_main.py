@@ -201,3 +201,17 @@ def test_who_generates_does_not_wait_for_plots() -> None:
     code = "import sys, servogen.cli.main, servogen.cli.generate; print(*{'scipy', 'matplotlib'} & set(sys.modules))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.split() == []
+
+
+def test_several_scenes_share_a_core_in_one_folder(ends, tmp_path):
+    names = ("skewed_thrusters", "unicycle_path")
+    code, out, _ = ends("generate", *names, "--core", "--out", tmp_path, "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert [entry["path"] for entry in told] == [str(tmp_path / name) for name in names]
+    assert {entry["core"] for entry in told} == {str(tmp_path / "servogen_core")}
+    assert {entry["manifest"]["core"] for entry in told} == {"servogen_core"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*names, "servogen_core"])
+    code, _, err = ends("generate", *names, "--prefix", "p", "--out", tmp_path)
+    assert code == 2
+    assert "one prefix cannot name 2 packages" in err

@@ -9,6 +9,7 @@ import pytest
 from servogen.plan.solver import plan_solver
 from servogen.render.literals import literal
 from servogen.render.solver_context import solver_context
+from servogen.render.unused import without_unused
 from servogen.results import OF_LIMITS, Status
 from servogen.results import Path as SolverPath
 from servogen.scene.solver import Solver
@@ -47,7 +48,8 @@ def render(m, l, scalar, solver):
         TEMPLATES.get_template(f"{name}.j2").render(context)
         for name in ("number.c", "solver/info.h", "solver/solver.c")
     ]
-    return "\n".join(["#include <math.h>\n#include <stddef.h>\n#include <stdint.h>", *parts, uses])
+    text = "\n".join(["#include <math.h>\n#include <stddef.h>\n#include <stdint.h>", *parts, uses])
+    return without_unused(text)  # as a package is printed
 
 
 def compile_text(text, compiler, folder, *flags):

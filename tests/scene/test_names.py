@@ -7,7 +7,8 @@ import subprocess
 import casadi as ca
 import pytest
 import servogen as sg
-from servogen.scene.names import check_identifier, comment_safe
+from servogen.compiler import target_for
+from servogen.scene.names import HEADERS, check_identifier, comment_safe
 from support.c import STRICT, compiler, run
 from support.missing import skip_or_fail
 
@@ -134,3 +135,27 @@ def test_texts_and_units_reach_the_header_safely(tmp_path: object) -> None:
     for command in ("gcc", "clang"):
         if shutil.which(command):
             run([command, *STRICT, "-fsyntax-only", package.path / "texts.c"])
+
+
+def named(name: str) -> sg.Scene:
+    q, u, tau = (ca.SX.sym(n) for n in ("q", "u", "tau"))
+    return sg.Scene(name, sg.Mechanism(q=q, u=u, tau=tau, Q=1, P=0, G=1), [sg.Nonholonomic("v", u, Theta=-1.0)])
+
+
+@pytest.mark.parametrize("name", ["math", "stdint", "Time", "unistd"])
+def test_a_package_never_hides_a_header(name: str) -> None:
+    with pytest.raises(sg.SceneError, match=f"would hide the standard header <{name.lower()}.h>; choose another name"):
+        sg.build(named(name))
+    assert sg.build(named(name), prefix=f"{name}_1").prefix == f"{name}_1"
+
+
+def test_every_header_and_device_is_refused_as_a_file() -> None:
+    for name in (*HEADERS, "aux", "CON", "lpt1"):
+        for where in ({"prefix": name}, {"prefix": None, "core": name}):
+            with pytest.raises(sg.SceneError, match=r"header|device|keyword|macro"):
+                target_for("scene", "float64", **where)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["jac", "hess", "a__b"])
+def test_names_that_casadi_keeps_are_free(name: str) -> None:
+    assert (sg.build(named(name)).path / f"{name}.c").exists()

@@ -76,6 +76,26 @@ def test_the_iiwa_on_mujoco(tmp_path: Path) -> None:
         assert figures.beside < 1e-6
 
 
+def test_both_worlds_tell_the_same_of_a_flaw(planar: tuple[sg.Scene, sg.Simulation], tmp_path: Path) -> None:
+    """Joint damping that the model has not, and torque that the actuators have not: same rows, same verdict."""
+    scene, simulation = planar
+    anywhere = (-np.inf, np.inf)
+    simulation = replace(simulation, domain={"q": anywhere, "u": anywhere})
+    limits = np.full(3, 100.0)
+    worlds = mujoco_figures.Worlds(mujoco_figures.Arm(scene, simulation, write(tmp_path), limits, limits), "hand")
+    words = []
+    for flaw in (
+        mujoco_figures.Flaw("none"),
+        mujoco_figures.Flaw("damped", damping=1.5),
+        mujoco_figures.Flaw("weak", machine={"actuators": sg.Actuators(limit=20.0)}),
+    ):
+        theirs, ours = worlds.runs(flaw, duration=1.5)
+        np.testing.assert_allclose(theirs.q, ours.q, atol=1e-5)
+        assert theirs.verdict.word == ours.verdict.word
+        words.append(ours.verdict.word)
+    assert words == ["held", "not held", "limited"]
+
+
 def test_past_full_reach_and_back(planar: tuple[sg.Scene, sg.Simulation], tmp_path: Path) -> None:
     """The target leaves what the arm can reach (1.2 m) and comes back: torques stay an arm's, the end recovers."""
     scene, simulation = planar

@@ -59,6 +59,36 @@ def test_they_are_what_single_runs_are(rail, machine):
     assert np.array_equal(many.quantiles()["largest |tau[0]|"], plain)
 
 
+def test_quantiles_are_those_of_a_plain_loop_in_python(rail):
+    """The textbook's controller, this file's own Runge-Kutta and the decay in closed form, on 200 runs."""
+    hold, ticks, count = 0.05, 8, 200
+    options = {"hold": hold, "step": hold, "duration": hold * ticks}
+    many = rail.runs(count, spread={"m": 0.5, "u": 0.4}, seed=3, **options)
+    controller = sg.reference(rail.scene)
+    error, end, force = np.zeros(count), np.zeros(count), np.zeros(count)
+    for k, (m, u) in enumerate(many.draws):
+        state, tau = np.array([0.0, u]), 0.0
+        for tick in range(ticks + 1):
+            t = tick * hold
+            decay = (u - 2) * np.exp(-t) + (1 - u) * np.exp(-2 * t)  # psi'' = -3 psi' - 2 psi from psi = -1, psi' = u
+            tau = controller.control(q=state[:1], u=state[1:], r=1.0).value[0]
+            error[k] = max(error[k], abs(state[0] - 1 - decay))
+            force[k] = max(force[k], abs(tau))
+            end[k] = abs(state[0] - 1)
+            state = _runge_kutta(lambda x, tau=tau, m=m: np.array([x[1], tau / m]), state, hold)
+    found = list(many.quantiles().values())
+    for mine, theirs in zip((error, end, force), found, strict=True):
+        np.testing.assert_allclose(theirs, np.quantile(mine, QUANTILES), rtol=1e-9)
+    assert np.ptp(error) > 0.01
+
+
+def _runge_kutta(rate, x, h):
+    a = rate(x)
+    b = rate(x + h / 2 * a)
+    c = rate(x + h / 2 * b)
+    return x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c))
+
+
 def test_every_word_is_found_without_rows():
     """Scenes that tip over, lose rank, are refused or stopped: the summary's word is the verdict's."""
     scene, simulation = load_simulation("double_pendulum_energy_and_path")

@@ -27,7 +27,7 @@ from servogen.scene.symbols import Ref, References
 from servogen.scenes import iiwa_position
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.machine import Actuators
-from servogen.simulate.mujoco_plant import MujocoLoop, disagreement
+from servogen.simulate.mujoco_plant import MujocoLoop, disagreement, load_plant
 from servogen.simulate.simulation import Simulation
 from servogen.simulate.trajectory import Trajectory
 from servogen.simulate.wanted import load_simulation
@@ -304,26 +304,38 @@ def loaded(file: Path, tool: str, payload: float, folder: Path) -> Path:
 _NO_INERTIA = '<inertia ixx="1e-9" ixy="0" ixz="0" iyy="1e-9" iyz="0" izz="1e-9"/>'
 
 
-def flawed_runs(arm: Arm, tool: str, flaw: Flaw, **options: Any) -> tuple[Trajectory, Trajectory]:
-    """The arm's run with a flaw on MuJoCo's physics, and on our own with the same one, at 1 kHz."""
-    options = {"step": 1e-3, **options, **flaw.machine}
-    with tempfile.TemporaryDirectory() as folder:
-        file = loaded(arm.file, tool, flaw.payload, Path(folder)) if flaw.payload else arm.file
-        theirs = MujocoLoop(arm.scene, arm.simulation, file)
-        mech = load(file, quiet=True).mechanism if flaw.payload else arm.scene.mechanism
-    theirs.plant.model.dof_damping[theirs.plant.dofs] = flaw.damping
-    theirs.plant.model.dof_armature[theirs.plant.dofs] = flaw.armature
-    Q = mech.Q + flaw.armature * ca.SX.eye(mech.u.size1())
-    own = Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=mech.P - flaw.damping * mech.u, G=mech.G)
-    ours = ClosedLoop(arm.scene, replace(arm.simulation, plant=own))
-    return theirs.run(**options), ours.run(**options, hold=True)
+class Worlds:
+    """An arm in MuJoCo's world and in our own, with the same flaws in both."""
+
+    def __init__(self, arm: Arm, tool: str) -> None:
+        self._arm, self._tool = arm, tool
+        self._theirs = MujocoLoop(arm.scene, arm.simulation, arm.file)
+        self._ours = ClosedLoop(arm.scene, arm.simulation)
+
+    def runs(self, flaw: Flaw, **options: Any) -> tuple[Trajectory, Trajectory]:
+        """MuJoCo's run with a flaw and our own, with one tick a millisecond unless the options say otherwise."""
+        options = {"step": 1e-3, **options, **flaw.machine}
+        arm, theirs = self._arm, self._theirs
+        with tempfile.TemporaryDirectory() as folder:
+            file = loaded(arm.file, self._tool, flaw.payload, Path(folder)) if flaw.payload else arm.file
+            theirs.plant = load_plant(arm.scene, file)
+            mech = load(file, quiet=True).mechanism if flaw.payload else arm.scene.mechanism
+        theirs.plant.model.dof_damping[theirs.plant.dofs] = flaw.damping
+        theirs.plant.model.dof_armature[theirs.plant.dofs] = flaw.armature
+        ours = self._ours
+        if flaw.payload or flaw.damping or flaw.armature:
+            Q = mech.Q + flaw.armature * ca.SX.eye(mech.u.size1())
+            own = Mechanism(q=mech.q, u=mech.u, tau=mech.tau, Q=Q, P=mech.P - flaw.damping * mech.u, G=mech.G)
+            ours = ClosedLoop(arm.scene, replace(arm.simulation, plant=own))
+        return theirs.run(**options), ours.run(**options, hold=True)
 
 
 def show_flaws(arm: Arm, tool: str, flaws: Sequence[Flaw]) -> None:
     """Both worlds' verdicts, largest deviations from the prescribed decay, and torques as parts of the limits."""
+    worlds = Worlds(arm, tool)
     for flaw in flaws:
         told = []
-        for run in flawed_runs(arm, tool, flaw):
+        for run in worlds.runs(flaw):
             off = float(np.max(np.linalg.norm(run.constraint - run.ideal, axis=1)))
             told.append(f"{run.verdict.word:24} {off:8.2e} m  {np.max(np.abs(run.tau) / arm.effort):.3f}")
         print(f"{flaw.words:28} MuJoCo: {told[0]}   own: {told[1]}", flush=True)

@@ -278,6 +278,7 @@ def _summary(trajectory: Trajectory, scalar: Scalar) -> dict[str, Any]:
         "constraint_error": trajectory.constraint_error[0] if some else None,
         "constraint_error_t": trajectory.constraint_error[1] if some else None,
         "decay_error": trajectory.decay_error,
+        "largest_drift": float(np.max(trajectory.drift)) if trajectory.drift.size else None,
         "statuses": {Status(int(s)).name: int(n) for s, n in zip(statuses, counts, strict=True)},
     }
 
@@ -347,6 +348,8 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
         differing = summary["rows_unlike_the_hosts"]
         same = "bit for bit the host's" if not differing else f"[bold red]{differing} unlike the host's[/]"
         out.print(f"  run on {summary['target']}: rows {same}")
+    if summary["largest_drift"] is not None:
+        out.print(f"  passive constraints off by at most {summary['largest_drift']:.3g}", markup=False)
     for name, error in summary["decay_error"].items():
         out.print(f"  {name} off its ideal decay by at most {error:.3g} of it", markup=False)
     largest = with_unit(summary["largest_tau"], units.get("tau"), 4)

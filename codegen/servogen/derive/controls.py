@@ -7,7 +7,7 @@ import casadi as ca
 
 from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, MassFindings, Quantity
-from servogen.derive.mass import solve_with_mass
+from servogen.derive.passive import accelerations, passive_quantities
 from servogen.derive.rates import rate
 from servogen.derive.servo import free_quantities
 from servogen.derive.weight import weigh
@@ -27,7 +27,7 @@ def derive_controls(samples: Samples, found: MassFindings) -> Formulation:
     """phi, A and B; also y where it is an expression."""
     scene = samples.scene
     mech = scene.mechanism
-    u_dot, mass = solve_with_mass(scene, found, mech.P + ca.mtimes(mech.G, mech.tau))
+    u_dot, mass = accelerations(samples, found, mech.P + ca.mtimes(mech.G, mech.tau))
     phi, B = [], []
     for c in scene.constraints:
         assert isinstance(c, ControlsInvolved)
@@ -53,7 +53,10 @@ def derive_controls(samples: Samples, found: MassFindings) -> Formulation:
     bends, places = curvature(phi, mech.tau)
     if places:
         quantities.append(Quantity("curvature", bends, "Eq. (36)", "phi_tau_tau, its nonzeros"))
-    law = controlling(scene, quantities, weight, entries=(("phi",), ("A",), ("B",), ("A", "B")))
+    passive = passive_quantities(samples, found)
+    quantities += passive
+    entries = (("phi",), ("A",), ("B",), ("A", "B"), *((q.name,) for q in passive))
+    law = controlling(scene, quantities, weight, entries)
     law = _with_projection(law, scene.controls, places)
     return Formulation(scene, tuple(quantities), mass, law, weight)
 

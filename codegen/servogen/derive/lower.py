@@ -41,7 +41,7 @@ def scene_inputs(scene: Scene) -> list[tuple[Input, Any]]:
     """Every parameter and input the scene may have, tau included, with its symbol."""
     inputs = [(Input(f.name, f.size, "parameter"), f.symbol) for f in scene.parameters]
     inputs += [(Input(f.name, f.size), f.symbol) for f in scene.input_fields()]
-    if not scene.system.tau_is_state:  # the plant takes tau, and so may a servo scene's program
+    if not scene.tau_is_input:  # the plant takes tau, and so may a servo scene's program
         inputs.append((Input("tau", scene.controls), scene.mechanism.tau))
     return inputs
 

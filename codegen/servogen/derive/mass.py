@@ -30,6 +30,11 @@ def solve_with_mass(
     return _solve_ldlt(Q, right)
 
 
+def solve_definite(matrix: Any, right: Any) -> tuple[Any, MassTreatment]:
+    """X with matrix X = right by one LDL^T, for a matrix known to be symmetric and positive definite; its pivots."""
+    return _solve_ldlt(matrix, right)
+
+
 def solve_square(matrix: Any, right: Any) -> Any:
     """X with matrix X = right for any square matrix, without a test of its pivots."""
     if _is_diagonal(matrix):

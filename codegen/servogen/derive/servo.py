@@ -7,7 +7,7 @@ import casadi as ca
 from servogen.derive.answer import controlling
 from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import Formulation, MassFindings, Quantity, Weight
-from servogen.derive.mass import solve_with_mass
+from servogen.derive.passive import passive_quantities, respond
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
 from servogen.scene.convert import is_identity
@@ -23,27 +23,27 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     gauge = mech.gauge
     psi, J, X, prescribed = constraint_rows(scene, gauge)
     # m solves with Q for the rows of psi_u, not l for the columns of G
-    W_transposed, mass = solve_with_mass(scene, found, J.T, transposed=True)
-    W = W_transposed.T
+    W, shift, mass = respond(samples, found, J, gauge)
     S = ca.mtimes(W, mech.G)
     force = mech.P if gauge is None else gauge.force
     weight = weigh(scene, mass)
     weighted = None
-    if weight is not None and weight.of_mass and is_identity(mech.G):
+    if weight is not None and weight.of_mass and is_identity(mech.G) and not mech.passive:
         # with N N^T = Q and G = I, S N is (N^-1 J^T)^T: half of the solve with Q, and the other half is not needed
         weighted = weight.to_sigma(J.T).T
         z = prescribed - X - ca.mtimes(weighted, weight.to_sigma(force))
     else:
-        z = prescribed - X - ca.mtimes(W, force)
-    words = _words(scene)
+        z = prescribed - X - ca.mtimes(W, force) - shift
+    words, passive = _words(scene), passive_quantities(samples, found)
     quantities = [
         Quantity("psi", psi, *words["psi"]),
         Quantity("S", S, *words["S"], needs_mass=True),
         Quantity("z", z, *words["z"], needs_mass=True),
         *free_quantities(scene, S, "S", "Eq. (10)", weight, weighted),
     ]
-    law = controlling(scene, quantities, weight, entries=(("psi",), ("S",), ("z",), ("S", "z")))
-    return Formulation(scene, tuple(quantities), mass, law, weight)
+    entries = (("psi",), ("S",), ("z",), ("S", "z"), *((q.name,) for q in passive))
+    law = controlling(scene, [*quantities, *passive], weight, entries)
+    return Formulation(scene, (*quantities, *passive), mass, law, weight)
 
 
 def constraint_rows(scene: Scene, gauge: Gauge | None = None) -> tuple[Any, Any, Any, Any]:

@@ -24,7 +24,7 @@ def lower_expressions(name: str, inputs: Sequence[tuple[Input, Any]], outputs: S
     Raises SceneError for an operation without a row in the op table and for constants that are not finite.
     """
     dense = [ca.densify(expression.T) for _, expression in outputs]  # CasADi counts down columns, C along rows
-    function = ca.Function(name, [symbol for _, symbol in inputs], dense)
+    function = ca.Function("program", [symbol for _, symbol in inputs], dense)  # CasADi forbids names that C allows
     emit = _Emitter(name, function, [entry.name for entry, _ in inputs])
     value: dict[int, int] = {}  # CasADi's work vector: slot -> our instruction
     nodes = [[-1] * (expression.size1() * expression.size2()) for _, expression in outputs]

@@ -125,7 +125,7 @@ def cut_out(text: str, module: Module, of_words: str) -> tuple[str, Mapping[str,
 
     of_words: the C of bits and mathematics, all of it, which depends on the scalar alone.
     """
-    prefix, scalar = module.target.prefix, module.target.scalar
+    prefix = module.target.prefix
     names = _Names(module, {n for block, _, _ in blocks_of(of_words) for n in block.names})
     head = text.find("/* ---- the model and the constraints")
     placed = [(b, i, j, head < 0 or i < head) for b, i, j in blocks_of(text)]
@@ -151,7 +151,7 @@ def cut_out(text: str, module: Module, of_words: str) -> tuple[str, Mapping[str,
     own = _renamed(_HEADING_OF_NOTHING.sub("", re.sub(r"\n{3,}", "\n\n", own)), renamed)
     blocks: dict[str, Block] = {}
     for b, _, _ in kept:
-        block = _shareable(b, renamed, names, scalar)
+        block = _shareable(b, renamed, names)
         blocks[block.names[0]] = block
     return own, blocks
 
@@ -166,7 +166,7 @@ def _stands_alone(block: Block, taken: set[str], names: "_Names", prefix: str) -
     return all(w in taken or w in known for w in used)
 
 
-def _shareable(block: Block, renamed: Mapping[str, str], names: "_Names", scalar: Scalar) -> Block:
+def _shareable(block: Block, renamed: Mapping[str, str], names: "_Names") -> Block:
     """The block by the core's names, and functions static no more where they are long or of one shape."""
     inline = block.kind == "#" or (
         all(names.rest(n)[1] in names.of_scalar for n in block.names) and block.text.count("\n") <= _SHORT
@@ -226,10 +226,12 @@ class _Names:
 
 
 def _variant(plan: SolverPlan) -> str:
-    """A mark of options that are not the usual ones of the shape; "" where all are."""
+    """A mark of options that are not the usual ones of the shape, whatever the rows' tolerances; "" where all are."""
     usual = plan_solver(plan.m, plan.l, plan.scalar, Solver())
-    asked, plain = ((p.method, p.rank, p.rtol, p.damping, bool(p.root)) for p in (plan, replace(usual, root="own")))
-    return "" if asked == plain else f"_{hashlib.sha256(repr(asked).encode()).hexdigest()[:8]}"
+    of_rows = {name: getattr(usual, name) for name in ("atol", "square_ranges", "row_range")}
+    asked, plain = (replace(x, root="") for x in (replace(plan, **of_rows), usual))
+    mark = "" if asked == plain else f"_{hashlib.sha256(repr(asked).encode()).hexdigest()[:8]}"
+    return mark if plan.root else f"{mark}_libm"
 
 
 def ordered(blocks: Iterable[Block]) -> list[Block]:

@@ -7,16 +7,26 @@ import numpy as np
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray
+from servogen.scene.closing import Closer
 from servogen.scene.scene import Scene, State
 from servogen.scene.symbols import Field
 
 # Where the user states no range: an angle's period, and magnitudes of one.
+_ROUNDS = 50
+"""Times that as many states as asked for are drawn, until as many satisfy the passive constraints."""
+
 _DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
 
 
 def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
     """`count` states from the scene's domain: name -> array (count, size), for every input the scene may have."""
     generator = np.random.default_rng(seed)
+    if not scene.mechanism.passive or count == 0:
+        return _draw(scene, count, generator)
+    return _draw_closed(scene, count, generator)
+
+
+def _draw(scene: Scene, count: int, generator: np.random.Generator) -> State:
     if callable(scene.domain):
         return _draw_by_user(scene, scene.domain, count, generator)
     states: State = {}
@@ -25,6 +35,26 @@ def draw_states(scene: Scene, count: int, seed: int = 0) -> State:
         unit = generator.random((count, f.size))
         states[f.name] = lo + (hi - lo) * unit
     return states
+
+
+def _draw_closed(scene: Scene, count: int, generator: np.random.Generator) -> State:
+    """States brought onto the passive constraints; those that leave the user's range of q then are drawn again."""
+    given = {} if callable(scene.domain) else dict(scene.domain or {})
+    low, high = next(_range(scene, f) for f in scene.input_fields() if f.name == "q")
+    kept: list[State] = []
+    closer = Closer(scene)
+    for _ in range(_ROUNDS):
+        states, good = closer.close(_draw(scene, count, generator))
+        if "q" in given:
+            good &= np.all((low <= states["q"]) & (states["q"] <= high), axis=1)
+        kept.append({name: values[good] for name, values in states.items()})
+        if sum(len(part["q"]) for part in kept) >= count:
+            return {name: np.concatenate([part[name] for part in kept])[:count] for name in states}
+    names = ", ".join(repr(c.name) for c in scene.mechanism.passive)
+    raise SceneError(
+        f"domain: hardly a state drawn from it can be closed (passive constraints {names}); give ranges of q around "
+        "states that satisfy chi, or a callable that returns such states"
+    )
 
 
 def domain_box(scene: Scene, drawn: State) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -8,6 +8,7 @@ import casadi as ca
 from servogen.errors import SceneError
 from servogen.scene.convert import column, is_identity, matrix, rates, symbols
 from servogen.scene.known_rates import Gauge, KnownRates
+from servogen.scene.passive import check_passive
 from servogen.scene.polylines import polylines
 
 
@@ -20,6 +21,8 @@ class Mechanism:
     C: n_q x n_u of q, t, identity if absent. D: n_q of q, t, zero if absent.
     known_rates: expressions of q whose rates need no differentiation (sg.urdf fills it); None if there are none.
     skeleton: polylines of q by which a report draws it (sg.urdf fills it), as sg.Simulation(drawing=...); () if none.
+    passive: sg.PassiveHolonomic and sg.PassiveNonholonomic, loops and rolling: Q u' = P + G tau + J^T lam with
+        J u' + j = 0; () if none.
     Entries may be SX or numbers, and may hold parameters. SceneError for wrong shapes and kinds.
     """
 
@@ -34,6 +37,7 @@ class Mechanism:
     t: Any = None
     known_rates: KnownRates | None = None
     skeleton: Any = ()
+    passive: Any = ()
     _postures: list[tuple[Any, Any, Any]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -56,6 +60,7 @@ class Mechanism:
             raise SceneError(f"q has {n_q} entries and u has {n_u}; give C ({n_q}x{n_u}), for q' = C u + D")
         if self.D is not None:
             put("D", column(self.D, "D", n_q))
+        put("passive", check_passive(self.passive, self.q, self.u, self.tau))
         put("skeleton", polylines(self.skeleton, "skeleton"))
         for name in ("C", "D", "Q"):
             expression = getattr(self, name)

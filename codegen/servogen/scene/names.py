@@ -41,6 +41,16 @@ _MACRO_FAMILY = re.compile(
     re.VERBOSE,
 )
 
+# Files that headers of C and POSIX would be hidden by, and names that Windows keeps for devices.
+HEADERS = frozenset(
+    """assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic
+    stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+    aio cpio dirent dlfcn endian fcntl fmtmsg fnmatch ftw glob grp iconv langinfo libgen libintl monetary mqueue ndbm
+    netdb nl_types poll pthread pwd regex sched search semaphore spawn strings stropts syslog tar termios trace ulimit
+    unistd utime utmpx wordexp malloc memory values features""".split()
+)
+DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))])
+
 # Keywords of the Python twins, and the names the inputs of every scene have.
 INPUT_NAMES = ("q", "u", "t", "tau", "y")
 CALL_NAMES = frozenset({"dt", "last", "self"})
@@ -63,6 +73,18 @@ def check_identifier(name: str, what: str) -> str:
         raise SceneError(f"{what} {name!r} is a standard macro; choose another name")
     if name.startswith("__") or re.match(r"_[A-Z]", name):
         raise SceneError(f"{what} {name!r} is reserved for the C implementation; drop the leading underscore")
+    return name
+
+
+def check_file_name(name: str, what: str) -> str:
+    """As `check_identifier`, and free to be a file <name>.h beside the headers of a system, whatever its case."""
+    check_identifier(name, what)
+    if name.lower() in HEADERS:
+        raise SceneError(f"{what} {name!r} would hide the standard header <{name.lower()}.h>; choose another name")
+    if name.lower() in DEVICES:
+        raise SceneError(
+            f"{what} {name!r} is a device on Windows, which can have no file {name}.h; choose another name"
+        )
     return name
 
 

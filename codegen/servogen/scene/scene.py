@@ -21,6 +21,7 @@ from servogen.scene.constraints import (
 from servogen.scene.convert import column, matrix
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
+from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
 from servogen.scene.system import SYSTEMS, Function, Kind, System
@@ -104,7 +105,8 @@ class Scene:
     @property
     def system(self) -> System:
         """What the kind's linear system is called."""
-        return SYSTEMS[self.kind]
+        system = SYSTEMS[self.kind]
+        return system.with_passive() if self.mechanism.passive else system
 
     @property
     def rows(self) -> int:
@@ -129,7 +131,10 @@ class Scene:
 
     def shape_of(self, function: Function) -> tuple[int, ...]:
         """The shape of what a function of the scene's twins returns."""
-        sizes = {"m": self.rows, "l": self.controls, "n": int(self.mechanism.u.size1())}
+        passive = self.mechanism.passive
+        p = sum(c.chi.size1() for c in passive)
+        c = p + sum(c.chi.size1() for c in passive if isinstance(c, PassiveHolonomic))
+        sizes = {"m": self.rows, "l": self.controls, "n": int(self.mechanism.u.size1()), "p": p, "c": c}
         return tuple(sizes[letter] for letter in function.shape)
 
     def input_fields(self) -> tuple[Field, ...]:
@@ -138,11 +143,16 @@ class Scene:
         fields = [_state_field("q", mech.q), _state_field("u", mech.u)]
         if mech.t is not None:
             fields.append(_state_field("t", mech.t))
-        if self.system.tau_is_state:
+        if self.tau_is_input:
             fields.append(_state_field("tau", mech.tau))
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
         return (*fields, *self.references)
+
+    @property
+    def tau_is_input(self) -> bool:
+        """Whether a function of the scene takes tau: where it is a state, or for multipliers of passive constraints."""
+        return self.system.tau_is_state or bool(self.mechanism.passive)
 
     @property
     def y_symbol(self) -> Any:
@@ -169,6 +179,9 @@ def expressions(scene: Scene) -> dict[str, Any]:
     """Every expression of the scene by the words an error names it with."""
     mech = scene.mechanism
     parts = {name: getattr(mech, name) for name in ("Q", "P", "G", "C", "D") if getattr(mech, name) is not None}
+    for passive in mech.passive:
+        parts[f"passive constraint {passive.name!r}: chi"] = passive.chi
+        parts[f"passive constraint {passive.name!r}: stabilise"] = passive.stabilise
     for c in scene.constraints:
         symbol = "phi" if isinstance(c, ControlsInvolved) else "psi"
         parts[f"constraint {c.name!r}: {symbol}"] = expression_of(c)
@@ -228,6 +241,11 @@ def _check_kinds(scene: Scene) -> None:
                 raise SceneError(f"{what}: tau is missing from phi; use sg.Nonholonomic for psi(q, u, t)")
         elif ca.depends_on(expression, mech.tau):
             raise SceneError(f"{what}: psi depends on tau; use sg.ControlsInvolved for phi(q, u, tau, t)")
+    if scene.mode == "ideal" and mech.passive:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' is not supported with passive constraints "
+            f"({mech.passive[0].name!r}); leave mode at 'servo'"
+        )
     if scene.mode == "ideal" and involved:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' has no meaning for the controls-involved constraint {involved[0]!r}; "

@@ -1,6 +1,6 @@
 """The linear system of each kind of scene, by the paper's names, and the functions that come with it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Kind = Literal["servo", "ideal", "controls"]
@@ -11,8 +11,9 @@ class Function:
     """A function that the twins of a kind have beside pinv and control; its C has the same name.
 
     text: what it returns. shape: of that, a letter a dimension: m rows of constraints, l controls, n velocity
-    parameters. controls: it answers as control does, with info. arguments: numbers that it takes before the inputs.
-    of_constraints: it looks at the constraints alone, so that only the states that they use have to be given.
+    parameters, p rows of passive constraints, c those and the rates of the holonomic ones. controls: it answers as
+    control does, with info. arguments: numbers that it takes before the inputs. of_constraints: it looks at the
+    constraints alone, so that only the states that they use have to be given.
     """
 
     name: str
@@ -44,10 +45,20 @@ class System:
     matrix_is_given: bool = False
     tau_is_state: bool = False
 
+    def with_passive(self) -> "System":
+        """The same of a mechanism with passive constraints: multipliers and closure are functions, too."""
+        return replace(self, functions=(*self.functions, *PASSIVE))
+
     def function(self, name: str) -> Function | None:
         """The function of that name, None where there is none."""
         return next((f for f in self.functions if f.name == name), None)
 
+
+PASSIVE = (
+    Function("lam", "The multipliers of the passive constraints under tau, of least norm, shape (p,).", "p"),
+    Function("closure", "chi of the passive constraints, then chi' of the holonomic ones, shape (c,).", "c"),
+)
+"""The functions that come with passive constraints."""
 
 _VALUES = "The constraints' values, shape (m,)."
 _PSI = Function("psi", _VALUES, "m", of_constraints=True)

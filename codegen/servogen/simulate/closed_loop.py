@@ -26,6 +26,8 @@ from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay, prescribed, value_at
 from servogen.simulate.machine import Grid, grid_of, machine_arrays
+from servogen.simulate.manifold import closed_start, drift_of
+from servogen.simulate.options import Options, options_of
 from servogen.simulate.runs import Runs, runs_of
 from servogen.simulate.simulation import (
     METHODS,
@@ -58,29 +60,11 @@ Progress = Callable[[int, int], None]
 
 
 def simulate(
-    scene: Scene,
-    simulation: Simulation | None = None,
-    *,
-    start: Mapping[str, Any] | None = None,
-    duration: float | None = None,
-    step: float | None = None,
-    scalar: Scalar = "float64",
-    references: Mapping[str, Any] | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    hold: float | bool | None = None,
-    project: bool = True,
+    scene: Scene, simulation: Simulation | None = None, *, scalar: Scalar = "float64", **options: Any
 ) -> Trajectory:
     """Compile a scene's closed loop and run it once; see ClosedLoop and ClosedLoop.run."""
-    loop = ClosedLoop(scene, (simulation or Simulation()).holding(references or ()), scalar)
-    return loop.run(
-        start=start,
-        duration=duration,
-        step=step,
-        references=references,
-        parameters=parameters,
-        hold=hold,
-        project=project,
-    )
+    held = (simulation or Simulation()).holding(options.get("references") or ())
+    return ClosedLoop(scene, held, scalar).run(**options)
 
 
 class ClosedLoop:
@@ -113,64 +97,23 @@ class ClosedLoop:
         self._prefix = self._sources.controller.prefix
         self._given = self._sources.given
 
-    def run(
-        self,
-        *,
-        start: Mapping[str, Any] | None = None,
-        duration: float | None = None,
-        step: float | None = None,
-        references: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        hold: float | bool | None = None,
-        project: bool = True,
-        method: str | None = None,
-        progress: Progress | None = None,
-        plant: Mapping[str, Any] | None = None,
-        spread: Mapping[str, Any] | None = None,
-        replay: int | None = None,
-        **machine: Any,
-    ) -> Trajectory:
+    def run(self, *, progress: Progress | None = None, replay: int | None = None, **options: Any) -> Trajectory:
         """Integrate from t = 0 by fixed steps of a Runge-Kutta method, "rk4" or "dop8"; default the simulation's.
 
-        start: q, u, tau by name; what is left out comes from the simulation. duration, step: seconds; the step is
-        shortened so that it divides the duration, but with a `hold` in seconds both last as they say.
-        references: y and references by name, constant over the run; none that the simulation moves, see
-        Simulation.holding. parameters: of controller and plant; plant: of the plant alone.
-        hold: seconds between two ticks of the controller (`control`, or `step(dt)`), tau held in between, as in
-        firmware; True: one tick a step; None: as the simulation says. project: controls-involved scenes first take the
-        nearest tau with phi = 0. progress: called with (steps done, steps) from time to time.
-        replay: a seed of `runs`, whose draw from the spread (default the simulation's) this run takes.
-        machine: actuators, noise, quantise, delay and seed, each before what the simulation says.
+        options: see Options. progress: called with (steps done, steps) from time to time.
+        replay: a seed of `runs`, whose draw from the spread this run takes.
         """
+        given = options_of(options if replay is None else options | {"seed": replay})
+        plan = self._plan(given)
         if replay is not None:
-            machine["seed"] = replay
-        given = (start, duration, step, references, parameters, hold, project, method, plant, machine)
-        plan = self._plan(*given)
-        if replay is not None:
-            plan = plan.drawn(draw(self.scene, self._spread(spread), [replay], plan.plant, plan.inputs), 0)
+            plan = plan.drawn(draw(self.scene, self._spread(given), [replay], plan.plant, plan.inputs), 0)
         began = time.perf_counter()
         rows, marks, stop = self._integrate(self._setup(plan), plan.grid.steps // plan.grid.row_every, progress)
         seconds = time.perf_counter() - began
         return replace(self._trajectory(rows, marks, stop, plan), seconds=seconds)
 
     def runs(
-        self,
-        count: int,
-        *,
-        spread: Mapping[str, Any] | None = None,
-        seed: int | None = None,
-        executor: Executor | None = None,
-        progress: Progress | None = None,
-        start: Mapping[str, Any] | None = None,
-        duration: float | None = None,
-        step: float | None = None,
-        references: Mapping[str, Any] | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        hold: float | bool | None = None,
-        project: bool = True,
-        method: str | None = None,
-        plant: Mapping[str, Any] | None = None,
-        **machine: Any,
+        self, count: int, *, executor: Executor | None = None, progress: Progress | None = None, **options: Any
     ) -> Runs:
         """`count` runs with seeds seed, seed + 1, ..., each of another draw and other noise, without their rows.
 
@@ -185,11 +128,12 @@ class ClosedLoop:
             raise SceneError(f"runs = {count!r}; give a whole number, at least 1")
         if count > MOST_RUNS:
             raise SceneError(f"runs = {count}; at most {MOST_RUNS:,} in one call, more by calls with other seeds")
-        plan = self._plan(start, duration, step, references, parameters, hold, project, method, plant, machine)
-        first = self.simulation.seed if seed is None else seed
+        given = options_of(options)
+        first = self.simulation.seed if given.seed is None else given.seed
         if not 0 <= first <= 2**32 - count:
             raise SceneError(f"seed {first!r} for {count} runs; give a whole number from 0 to {2**32 - count}")
-        drawn = draw(self.scene, self._spread(spread), np.arange(first, first + count), plan.plant, plan.inputs)
+        plan = self._plan(given)
+        drawn = draw(self.scene, self._spread(given), np.arange(first, first + count), plan.plant, plan.inputs)
         job, states = self._job(plan), self._prescribed_starts(plan, drawn)
         workers = os.cpu_count() or 1
         size = max(1, min(250, count // (4 * workers)))
@@ -211,8 +155,8 @@ class ClosedLoop:
         claim = claim_of(self.scene, self.simulation, plan.parameters, plan.grid.hold)
         return runs_of(self.scene.name, found, _REASONS, self.simulation.events, claim, self._sizes(), drawn, seconds)
 
-    def _spread(self, given: Mapping[str, Any] | None) -> Mapping[str, Any]:
-        return self.simulation.spread if given is None else given
+    def _spread(self, given: Options) -> Mapping[str, Any]:
+        return self.simulation.spread if given.spread is None else given.spread
 
     def _job(self, plan: "_Plan") -> Job:
         """What all runs share, the shared library included."""
@@ -263,46 +207,26 @@ class ClosedLoop:
                 parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
         return np.hstack(parts)
 
-    def _plan(
-        self,
-        start: Mapping[str, Any] | None,
-        duration: float | None,
-        step: float | None,
-        references: Mapping[str, Any] | None,
-        parameters: Mapping[str, Any] | None,
-        hold: float | bool | None,
-        project: bool,
-        method: str | None,
-        plant: Mapping[str, Any] | None,
-        machine: Mapping[str, Any],
-    ) -> "_Plan":
+    def _plan(self, given: Options) -> "_Plan":
         """Everything a run is made of, checked."""
-        simulation = self._on(machine)
-        grid = self._grid(simulation, duration, step, hold)
-        inputs = start_values(self.scene, self.simulation, start, references)
+        simulation = given.on(self.simulation)
+        grid = self._grid(simulation, given)
+        inputs = start_values(self.scene, self.simulation, given.start, given.references)
         for name in moving_references(self.scene, self.simulation, ca.SX.sym("t")):
-            if name in (references or {}):
+            if name in (given.references or {}):
                 remedy = "hold its reference too (--reference, or Simulation.holding)"
                 raise SceneError(f"references: {name!r} moves in this simulation; {remedy}")
-        method = self.simulation.method if method is None else method
+        method = self.simulation.method if given.method is None else given.method
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
-        values, own = self._parameters(parameters or {}, plant or {})
-        return _Plan(simulation, grid, inputs, values, own, method, project)
+        values, own = self._parameters(given.parameters or {}, given.plant or {})
+        inputs |= closed_start(self.scene, inputs, own)
+        return _Plan(simulation, grid, inputs, values, own, method, given.project)
 
-    def _on(self, machine: Mapping[str, Any]) -> Simulation:
-        """The simulation with another machine."""
-        known = ("actuators", "noise", "quantise", "delay", "seed")
-        for name in machine:
-            if name not in known:
-                raise TypeError(f"run() got an unexpected keyword {name!r}; of a machine there are {', '.join(known)}")
-        return replace(self.simulation, **{n: v for n, v in machine.items() if v is not None})
-
-    def _grid(
-        self, simulation: Simulation, duration: float | None, step: float | None, hold: float | bool | None
-    ) -> Grid:
-        duration = self.simulation.duration if duration is None else float(duration)
-        step = self.simulation.step if step is None else float(step)
+    def _grid(self, simulation: Simulation, options: Options) -> Grid:
+        duration = self.simulation.duration if options.duration is None else float(options.duration)
+        step = self.simulation.step if options.step is None else float(options.step)
+        hold = options.hold
         given = hold if hold is None or isinstance(hold, bool) else float(hold)
         named = (("duration", duration), ("step", step), *((("hold", given),) if isinstance(given, float) else ()))
         for name, value in named:
@@ -433,6 +357,7 @@ class ClosedLoop:
             parameters=parameters,
             plant=plan.plant,
             inputs=given,
+            drift=drift_of(self.scene, columns),
         )
 
     def _moving(self, t: FloatArray) -> dict[str, FloatArray]:

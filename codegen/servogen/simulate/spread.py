@@ -11,6 +11,7 @@ from servogen.remarks import say
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 from servogen.simulate.machine import sized_magnitudes
+from servogen.simulate.manifold import closed_start
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,10 @@ def draw(
         varied[name] = nominal + own * half * (1.0 if name in ("q", "u") else nominal)
         names += [name] if len(half) == 1 else [f"{name}[{k}]" for k in range(len(half))]
     full = {n: np.tile(v, (len(seeds), 1)) for n, v in (*plant.items(), ("q", start["q"]), ("u", start["u"]))} | varied
+    for k in range(len(seeds) if scene.mechanism.passive else 0):
+        own_plant = {n: full[n][k] for n in plant}
+        for name, value in closed_start(scene, {**start, "q": full["q"][k], "u": full["u"][k]}, own_plant).items():
+            full[name][k] = value
     arrays = {
         "plant": np.hstack([np.zeros((len(seeds), 0)), *(full[n] for n in plant)]),
         "q": full["q"],

@@ -46,6 +46,7 @@ class Trajectory:
     before, the others at the last tick. limited (N,): bit k is set where an actuator held control k back since then.
     outputs: name -> (N,); decay: name -> (N,), what the output ought to be. parameters (the controller's), plant (the
     plant's) and inputs (y and references at t = 0): as used.
+    drift (N,): the largest entry of chi and chi' of the passive constraints at each row; empty where there are none.
     step: between rows; hold: between ticks, None where the controller acts at every instant; seconds.
     claim: what the run is held to, see verdict.
     method: of the integration; seconds: that it took on this machine.
@@ -73,6 +74,7 @@ class Trajectory:
     parameters: dict[str, FloatArray] = field(default_factory=dict)
     plant: dict[str, FloatArray] = field(default_factory=dict)
     inputs: dict[str, FloatArray] = field(default_factory=dict)
+    drift: FloatArray = field(default_factory=lambda: np.zeros(0))
     seconds: float = 0.0
 
     @cached_property

@@ -17,7 +17,7 @@ from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
-from servogen.scene.constraints import Nonholonomic, expression_of
+from servogen.scene.constraints import expression_of
 from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene
 
@@ -53,7 +53,7 @@ def _remedy(scene: Scene, constraint: Any) -> str:
     moving = [s for s in (mech.q, mech.u, mech.t) if s is not None]
     if not any(ca.depends_on(expression, s) for s in (*moving, mech.tau)):
         return "It depends on no state: write it as a function of q and u"
-    if isinstance(constraint, Nonholonomic) and not ca.depends_on(expression, mech.u):
+    if constraint.order == 1 and not ca.depends_on(expression, ca.vertcat(mech.u, mech.tau)):
         return "It is a function of q alone: declare it as sg.Holonomic, whose second derivative the controls reach"
     return (
         "Its relative degree is higher, or no control moves it at all; constrain a quantity that the controls change "

@@ -15,7 +15,7 @@ from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
-from servogen.scene.system import SYSTEMS, Function
+from servogen.scene.system import PASSIVE, SYSTEMS, Function
 from servogen.twins.batch import States, read_states
 
 
@@ -66,11 +66,13 @@ class Twin(ABC):
     def __getattr__(self, name: str) -> Any:
         """The functions that this kind of scene has beside pinv and control, with their docstrings."""
         one = name.removesuffix("_batch")
-        if not any(system.function(one) for system in SYSTEMS.values()):
+        if not any(one == f.name for system in SYSTEMS.values() for f in (*system.functions, *PASSIVE)):
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         offered = self.scene.system.function(one)
         if offered is None:
-            raise AttributeError(f"scene {self.scene.name!r} has no {name}; its kind is {self.scene.kind}")
+            passive = any(one == f.name for f in PASSIVE)
+            why = "its mechanism has no passive constraints" if passive else f"its kind is {self.scene.kind}"
+            raise AttributeError(f"scene {self.scene.name!r} has no {name}; {why}")
         if one != name:
             return self._batch_of(offered)
         return self._answering(offered) if offered.controls else self._evaluating(offered)

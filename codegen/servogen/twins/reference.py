@@ -14,6 +14,7 @@ from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import EXAMINED, draw_samples
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
@@ -24,7 +25,8 @@ from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
 from servogen.twins.interface import Twin, finite, refusal
 
-_WITHOUT_MASS = {"psi", "phi", "A"}
+_WITHOUT_MASS = {"psi": "psi", "phi": "psi", "A": "A", "closure": "closure"}
+"""What needs no Q -> what it is called among the parts."""
 
 
 Noise = Callable[[Scene, Scalar], Sequence[float] | None]
@@ -98,6 +100,30 @@ class ReferenceTwin(Twin):
             return True
         return _ill_conditioned(Q, EPSILON[self.scalar])
 
+    @cached_property
+    def _joined(self) -> tuple[int, FloatArray]:
+        """The rank of the passive constraints' J over the domain, and the largest diagonal of J Q^-1 J^T."""
+        defaults = {f.name: np.array(f.default) for f in self.scene.parameters}
+        drawn, rank, largest = draw_samples(self.scene).examined, 0, np.zeros(1)
+        for k in range(EXAMINED):
+            given = self._parts({n: v[k] for n, v in drawn.items()} | defaults)
+            J = given["passive_J"]
+            rank = max(rank, int(np.linalg.matrix_rank(J, rtol=1e-9)))
+            largest = np.maximum(largest, np.diag(J @ np.linalg.solve(given["Q"], J.T)))
+        return rank, largest
+
+    def _dead(self, given: dict[str, FloatArray]) -> bool:
+        """Whether the passive constraints lose rank, as J Q^-1 J^T shows it beside its size over the domain."""
+        if "passive_J" not in given:
+            return False
+        J = given["passive_J"]
+        A = J @ np.linalg.solve(given["Q"], J.T)
+        if not np.all(np.isfinite(A)):
+            return False
+        rank, largest = self._joined
+        sigma = np.linalg.svd(A / np.sqrt(np.outer(largest, largest)), compute_uv=False)
+        return bool(sigma[rank - 1] <= 4 * len(A) * EPSILON[self.scalar])
+
     def _prepare(self, parameters: dict[str, FloatArray]) -> Status:
         rounded = {n: self._round(v) for n, v in parameters.items()}
         if not finite(rounded.values()):
@@ -139,9 +165,9 @@ class ReferenceTwin(Twin):
         if not finite(v for n, v in rounded.items() if n in self._names["used"]):
             return Status.NONFINITE, {}
         given = self.parts(inputs)
-        if names and set(names) <= _WITHOUT_MASS:
-            result = {n: given["A" if n == "A" else "psi"] for n in names}
-        elif self._singular(given["Q"]):
+        if names and set(names) <= set(_WITHOUT_MASS):
+            result = {n: given[_WITHOUT_MASS[n]] for n in names}
+        elif self._singular(given["Q"]) or self._dead(given):
             return Status.SINGULAR_MASS, {}
         else:
             try:
@@ -254,11 +280,12 @@ class ReferenceServo(ReferenceTwin):
         return S, parts["prescribed"] - parts["X"] - drift
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        J, Q = given["J"], given["Q"]
-        S = J @ np.linalg.solve(Q, given["G"])
-        z = -J @ np.linalg.solve(Q, given["P"]) - given["X"] + given["prescribed"]
+        J = given["J"]
+        gain, drift, multipliers = _motion(given, inputs)
+        S = J @ gain
+        z = -J @ drift - given["X"] + given["prescribed"]
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | _weight(given)
+        return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | multipliers | _weight(given)
 
 
 class ReferenceIdeal(ReferenceTwin):
@@ -328,6 +355,30 @@ class ReferenceIdeal(ReferenceTwin):
         return Control(answer.value, _with_status(answer.info, max(reaction, answer.info.status)))
 
 
+def _motion(
+    given: dict[str, FloatArray], inputs: dict[str, FloatArray]
+) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    """gain and drift of u' = drift + gain tau, and with passive constraints their multipliers under tau.
+
+    Those by the dense Karush-Kuhn-Tucker system [Q, -J^T; J, 0] [u'; lam] = [P + G tau; -j], by least squares where its
+    rows are redundant, so that lam has the least norm.
+    """
+    Q, forces = given["Q"], np.hstack([given["G"], given["P"].reshape(-1, 1)])
+    if "passive_J" not in given:
+        solved = np.linalg.solve(Q, forces)
+        return solved[:, :-1], solved[:, -1:], {}
+    J, j = given["passive_J"], given["passive_j"].reshape(-1, 1)
+    n, p = len(Q), len(J)
+    matrix = np.block([[Q, -J.T], [J, np.zeros((p, p))]])
+    right = np.vstack([forces, np.hstack([np.zeros((p, forces.shape[1] - 1)), -j])])
+    size = 1 / np.sqrt(np.maximum(np.max(np.abs(matrix), axis=1), 1e-300))
+    size[:n] = 1 / np.sqrt(np.abs(np.diag(Q)))
+    size[n:] = 1.0  # the multipliers' least norm is in their own units
+    solved = size[:, None] * np.linalg.lstsq(size[:, None] * matrix * size, size[:, None] * right, rcond=1e-11)[0]
+    lam = solved[n:, -1] + solved[n:, :-1] @ inputs["tau"].ravel()
+    return solved[:n, :-1], solved[:n, -1:], {"lam": lam}
+
+
 def nonminimal_form(
     Q: FloatArray, P: FloatArray, J: FloatArray, b: FloatArray, dependent: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
@@ -357,10 +408,11 @@ class ReferenceControls(ReferenceTwin):
         return parts["A"], parts["prescribed"] - parts["X"] - ca.mtimes(parts["J"], u_dot)
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        u_dot = np.linalg.solve(given["Q"], given["P"] + given["G"] @ inputs["tau"].reshape(-1, 1))
+        gain, drift, multipliers = _motion(given, inputs)
+        u_dot = drift + gain @ inputs["tau"].reshape(-1, 1)
         B = given["prescribed"] - given["X"] - given["J"] @ u_dot
         y = inputs["y"] if "y" in inputs else given["y"]
-        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | _weight(given)
+        return {"phi": given["psi"].ravel(), "A": given["A"], "B": B.ravel(), "y": y} | multipliers | _weight(given)
 
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
         if entry == "control":
@@ -456,8 +508,11 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
+    if mech.passive:
+        parts |= _passive_parts(scene)
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
-    used = [f.name for f in fields if f.name == "y" or ca.depends_on(everything, f.symbol)]
+    always = {"y", "tau"} if mech.passive else {"y"}  # the multipliers are of tau
+    used = [f.name for f in fields if f.name in always or ca.depends_on(everything, f.symbol)]
     inputs = ca.vertcat(*(f.symbol for f in scene.input_fields()))
     fixed = [name for name, part in parts.items() if not ca.depends_on(ca.densify(part), inputs)]
     names = {"in": [f.name for f in fields], "out": list(parts), "used": used, "fixed": fixed}
@@ -497,6 +552,19 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
         "X": _drift(scene, c.psi),
         "prescribed": ca.mtimes(c.Theta, c.psi),
     }
+
+
+def _passive_parts(scene: Scene) -> dict[str, Any]:
+    """J and j of J u' + j = 0, and chi with the chi' of holonomic rows below, every derivative a full Jacobian."""
+    rates, chi, speeds = [], [], []
+    for c in scene.mechanism.passive:
+        chi.append(c.chi)
+        holonomic = isinstance(c, PassiveHolonomic)
+        rates.append(_drift(scene, c.chi) if holonomic else c.chi)
+        speeds += rates[-1:] if holonomic else []
+    rate = ca.vertcat(*rates)
+    J = ca.jacobian(rate, scene.mechanism.u)
+    return {"passive_J": J, "passive_j": _drift(scene, rate), "closure": ca.vertcat(*chi, *speeds)}
 
 
 def _drift(scene: Scene, psi: Any) -> Any:

@@ -1,9 +1,10 @@
 """A robot as CasADi SX: its mechanism, and the kinematics of its links."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
@@ -11,6 +12,7 @@ from servogen.errors import SceneError
 from servogen.scene.convert import matrix
 from servogen.scene.known_rates import Gauge, KnownRates
 from servogen.scene.mechanism import Mechanism
+from servogen.scene.passive import PassiveHolonomic
 from servogen.urdf import dynamics, placement
 from servogen.urdf.base import FLOATING_Q, FLOATING_TAU, FLOATING_U, fixed_base, floating_base, rate_map
 from servogen.urdf.limits import JointLimits
@@ -91,6 +93,7 @@ class Robot:
             for body, at in zip(self._tree.bodies[1:], self._place, strict=True)
         ]
         self._known = KnownRates()
+        self._closures: list[PassiveHolonomic] = []
         self._poses: dict[str, tuple[Any, Any, Any]] = {}
 
     @property
@@ -113,7 +116,35 @@ class Robot:
         Q, P = self._mass_matrix(), -self._forces(self._motion)
         self._known.gauge = Gauge(Q, P, self._accelerations_at_ease(), -self._forces(self._at_ease))
         return Mechanism(q=self.q, u=self.u, tau=self.tau, Q=Q, P=P, G=G, C=C, known_rates=self._known,
+                         passive=self._closures,
                          skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
+
+    def close(
+        self, frame_a: str, frame_b: str, what: Literal["position", "pose"] = "position", stabilise: Any = 0.0
+    ) -> PassiveHolonomic:
+        """Joins two frames by a passive constraint, which `mechanism` has from then on: a loop.
+
+        what: "position" holds the origins together (a ball joint, a hinge in the plane), "pose" the axes, too (a weld).
+        stabilise: see sg.PassiveHolonomic. SceneError where no joint can bring the frames together.
+        """
+        if what not in ("position", "pose"):
+            raise SceneError(f"close: {what!r}; choose 'position' or 'pose'")
+        rows = [self.position(frame_a) - self.position(frame_b)]
+        if what == "pose":
+            B = ca.mtimes(self.rotation(frame_a), self.rotation(frame_b).T)
+            rows.append(ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2)
+        entries = [e for e in ca.vertcat(*rows).elements() if not e.is_zero()]
+        apart = self._frame(frame_a).body != self._frame(frame_b).body
+        if not (entries and apart) or any(e.is_constant() for e in entries):
+            told = "no joint can bring them together" if apart else "no joint moves one from the other"
+            raise SceneError(
+                f"close: frames {frame_a!r} and {frame_b!r}: {told}; name two that joints between them move"
+            )
+        name = re.sub(r"\W", "_", f"{frame_a}_to_{frame_b}", flags=re.ASCII)
+        constraint = PassiveHolonomic(name, ca.vertcat(*entries), stabilise)
+        self._closures.append(constraint)
+        self.__dict__.pop("mechanism", None)
+        return constraint
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
         """The joint efforts that by themselves would give u' = -damping u - stiffness (q - centre): a scene's `y`.

@@ -79,7 +79,9 @@ class Truth:
             self.inputs = {n: v.astype(self.dtype) for n, v in states.items()}
         self.parameters = {f.name: np.array(f.default, self.dtype).reshape(1, -1) for f in module.parameters}
         self.count = len(next(iter(self.inputs.values())))
-        _, optimised = optimised_scene(scene)
+        formulation, optimised = optimised_scene(scene)
+        needing = {q.name for q in formulation.quantities if q.needs_mass} - optimised.free_of_mass
+        self.of_mass = frozenset({*needing, MASS_PIVOT, MASS_SCALE})
         self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.problems: list[str] = []
@@ -99,10 +101,13 @@ class Truth:
         own = rounding_bounds(self.exact, floats, "float64")
         pairs = zip(evaluate_exactly(self.program, everything), evaluate_exactly(self.exact, everything), strict=True)
         for k, (values, unoptimised) in enumerate(pairs):
-            self._compare(k, values, unoptimised, {n: _row(v, k) for n, v in own.items()})
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
+            status = self._status(k, at)
+            refused = self.of_mass if status == Status.SINGULAR_MASS else frozenset()  # divided by what is 0
+            given = {n: v for n, v in values.items() if n not in refused}
+            self._compare(k, given, unoptimised, {n: _row(v, k) for n, v in own.items()})
             limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
-            points.append(Point(values, limits, at, self._status(k, at)))
+            points.append(Point(values, limits, at, status))
         return points
 
     def _compare(
