@@ -154,8 +154,11 @@ def cut_out(text: str, module: Module, of_words: str) -> tuple[str, Mapping[str,
         own = own[:i] + own[j:].removeprefix("\n")
     own = _renamed(_HEADING_OF_NOTHING.sub("", re.sub(r"\n{3,}", "\n\n", own)), renamed)
     blocks: dict[str, Block] = {}
+    whole = [f for f, _, _ in blocks_of(of_words) if f.kind == "#" and len(f.names) > 1]
     for b, _, _ in kept:
-        block = _shareable(b, renamed, names)
+        # of attributes a package has those that it uses, a core all
+        full = next((f for f in whole if b.kind == "#" and set(b.names) <= set(f.names)), b)
+        block = _shareable(full, renamed | {n: str(names.in_core(n)) for n in full.names}, names)
         blocks[block.names[0]] = block
     return own, blocks
 

@@ -101,7 +101,7 @@ def _of_words(context: dict[str, Any]) -> str:
     """All C of bits and mathematics, which depends on the scalar alone."""
     everything = context | {"own_functions": ("sqrt", "reduce", "sin", "cos", "sincos")}
     everything["mt"] = math_context(context["module"].target.scalar)
-    parts = ("number.c.j2", "solver/words.c.j2")
+    parts = ("number.c.j2", "solver/words.c.j2", "solver/unroll.c.j2")
     return "\n".join(environment().get_template(part).render(everything) for part in parts)
 
 
