@@ -133,7 +133,8 @@ def coverage(
         stress(make, systems=systems * len(shapes), shapes=shapes, scalars=scalars)
         for m, l in shapes:
             for scalar in scalars:
-                _at_the_edge(make(m, l, scalar, Solver()), m, l, scalar)
+                for solver in (Solver(), Solver(sigma_min="exact")):
+                    _at_the_edge(make(m, l, scalar, solver), m, l, scalar)
         for source, library in libraries.items():
             _without_info(library, source.stem)
         counts: dict[tuple[str, int, int], int] = {}
