@@ -190,6 +190,15 @@ def test_remarks_are_printed_once(ends, monkeypatch, tmp_path):
         assert err.startswith("warning: scene 'crane': P holds sign, which may jump")
 
 
+def test_a_solver_with_limits_by_the_command(ends, tmp_path):
+    code, out, _ = ends("solver", 1, 2, "--limits", "--out", tmp_path, "--json")
+    assert code == 0
+    assert json.loads(out)["path"] == str(tmp_path)
+    header = (tmp_path / "pinv_1x2.h").read_text()
+    assert "const double *lower, const double *upper" in header
+    assert "PINV_1X2_LIMIT_CAP" in header
+
+
 def test_the_table_names_every_command() -> None:
     context = click.Context(main.cli)
     found = [main.cli.get_command(context, name) for name in main.COMMANDS]

@@ -140,15 +140,18 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 @click.command()
 @click.argument("m", type=click.IntRange(1, 12))
 @click.argument("l", type=click.IntRange(1, 12))
+@click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
 @scalar_option
 @prefix_option
 @math_option
 @out_option
 @json_option
-def solver(m: int, l: int, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool) -> None:
+def solver(
+    m: int, l: int, limits: bool, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool
+) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math)], [])], as_json)
+    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math, limits=limits)], [])], as_json)
 
 
 _Made = tuple[Sequence[Package], Sequence[Path]]
