@@ -31,7 +31,7 @@ def add_to_core(beside: Path, core: str, prefix: str, scalar: Scalar, blocks: Ma
     for user, others in needed.items():
         for name in others.keys() & blocks.keys():
             if others[name] != blocks[name]:
-                raise SceneError(f"core {core!r}: {name} of {user} is not that of {prefix}; generate {user} anew")
+                raise SceneError(f"core {core!r}: {name} of {user} is not that of {prefix}; {_remedy(folder)}")
     needed[prefix] = dict(blocks)
     scalars: dict[str, Scalar] = {user: told["scalar"] for user, told in users.items()} | {prefix: scalar}
     files = render_core(core, dict(sorted(needed.items())), tuple(scalars.values()))
@@ -53,20 +53,27 @@ def _manifest(
     return SourceFile("manifest.json", json.dumps(told, indent=2) + "\n")
 
 
+def _remedy(folder: Path) -> str:
+    return f"delete {folder} and generate every package that shares it anew, or give another core"
+
+
 def _known(folder: Path, core: str) -> tuple[dict[str, Any], dict[str, Block]]:
     """Who uses the core in a folder already, and its blocks by their first name."""
     file = folder / "manifest.json"
     if not folder.exists():
         return {}, {}
-    remedy = f"delete {folder} and generate every package that shares it anew, or give another core"
+    remedy = _remedy(folder)
     if not file.is_file():
         raise SceneError(f"core: {folder} is no core, for it has no manifest.json; {remedy}")
-    told = json.loads(file.read_text(encoding="utf-8"))
-    if told.get("core") != core:
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+        texts = {name: (folder / name).read_text(encoding="utf-8") for name in (f"{core}.h", f"{core}.c")}
+    except (json.JSONDecodeError, FileNotFoundError):
+        raise SceneError(f"core: {folder} is incomplete: a file is missing or cut short; {remedy}") from None
+    if told.keys() != {"generator", "core", "users", "files"} or told["core"] != core:
         raise SceneError(f"core: {folder} holds another package; {remedy}")
     if told["generator"] != f"servogen {VERSION}":
         raise SceneError(f"core: {folder} is of {told['generator']}, this is servogen {VERSION}; {remedy}")
-    texts = {name: (folder / name).read_text(encoding="utf-8") for name in (f"{core}.h", f"{core}.c")}
     for name, text in texts.items():
         if hashlib.sha256(text.encode()).hexdigest() != told["files"][name]:
             raise SceneError(f"core: {folder / name} was changed by hand; {remedy}")

@@ -135,6 +135,8 @@ def test_what_is_no_core_is_left_alone_and_named(tmp_path) -> None:
         (f"{CORE}.c", lambda text: text + "\n", "was changed by hand"),
         ("manifest.json", lambda text: text.replace("servogen 0", "servogen 99.0"), "is of servogen 99.0"),
         ("manifest.json", lambda text: text.replace(f'"core": "{CORE}"', '"core": "x"'), "holds another package"),
+        ("manifest.json", lambda text: text[:40], "is incomplete: a file is missing or cut short; delete"),
+        ("manifest.json", lambda text: "{}", "holds another package"),
     ],
 )
 def test_a_core_that_is_not_ours_is_not_extended(tmp_path, file, edit, words) -> None:

@@ -27,10 +27,9 @@ from servogen.law.steps import (
 _DECLARED = ("inputs", "quantities", "solvers")
 
 Form = Literal["step", "limited", "evaluation", "tick"]
-"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an
-evaluation and steps on what it leaves, one
-of which is a solve that fills info (without info, one quiet step alone); a call, an input advanced along its answer,
-and a call there."""
+"""What a routine may be, for these are what C is printed for: one step; a solve and its limits; an evaluation and steps
+on what it leaves, one of which is a solve that fills info (without info, one quiet step alone); a call, an input
+advanced along its answer, and a call there."""
 
 
 @dataclass(frozen=True)
@@ -151,8 +150,8 @@ def _check_forms(law: Law) -> None:
         if routine.form is None:
             without = "" if routine.info else " without info"
             raise IllegalLawError(
-                f"{place}{without} cannot be printed; a routine is one step of its own, or an evaluation with one "
-                "solve and steps like multiply behind it, or a call, an advance and a call"
+                f"{place}{without} cannot be printed; a routine is one step of its own, or a solve and its "
+                "limits, or an evaluation with one solve and steps like multiply behind it, or a call, an advance and a call"
             )
         given = {name for name, _ in routine.arguments}
         if routine.form == "step" and not of_the_state(routine):

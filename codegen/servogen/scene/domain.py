@@ -11,10 +11,10 @@ from servogen.scene.closing import Closer
 from servogen.scene.scene import Scene, State
 from servogen.scene.symbols import Field
 
-# Where the user states no range: an angle's period, and magnitudes of one.
 _ROUNDS = 50
 """Times that as many states as asked for are drawn, until as many satisfy the passive constraints."""
 
+# Where the user states no range: an angle's period, and magnitudes of one.
 _DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
 
 

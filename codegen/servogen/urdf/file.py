@@ -7,7 +7,7 @@ from servogen.urdf.markup import Element, parse
 
 _OTHERS = {
     "sdf": "it is SDF, Gazebo's format; give the URDF it was made from",
-    "mujoco": "it is MJCF, MuJoCo's format; read it with sg.mjcf.load",
+    "mujoco": "it is MJCF, MuJoCo's format; give the URDF it was made from",
     "html": "it is a web page; download the raw file",
     "COLLADA": "it is a mesh; give the URDF that names it",
 }
