@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+from servogen.cli.main import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -96,6 +98,8 @@ def test_the_controller_in_mujoco_runs_as_the_docs_say(tmp_path, need_module):
     assert float(done.stdout.split()[0]) == pytest.approx(1.5 * (1 - math.exp(-6)), abs=1e-3)
 
 
-def test_the_commands_it_names_exist(folder):
-    for name in set(re.findall(r"^    servogen (\w+)", README, re.MULTILINE)):
-        assert servogen(folder, name, "--help").returncode == 0, name
+def test_the_commands_it_names_exist():
+    names = set(re.findall(r"^    servogen (\w+)", README, re.MULTILINE))
+    assert len(names) > 5
+    for name in names:
+        assert CliRunner().invoke(cli, [name, "--help"]).exit_code == 0, name
