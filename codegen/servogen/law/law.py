@@ -150,8 +150,8 @@ def _check_forms(law: Law) -> None:
         if routine.form is None:
             without = "" if routine.info else " without info"
             raise IllegalLawError(
-                f"{place}{without} cannot be printed; a routine is one step of its own, or a solve and its limits, or an "
-                "evaluation with one solve and steps like multiply behind it, or a call, an advance and a call"
+                f"{place}{without} cannot be printed; a routine is one step of its own, or a solve and its limits, or "
+                "an evaluation with one solve and steps like multiply behind it, or a call, an advance and a call"
             )
         given = {name for name, _ in routine.arguments}
         if routine.form == "step" and not of_the_state(routine):
