@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from servogen.compiler import derived_scene
 from servogen.scene.domain import draw_states
+from servogen.simulate.claim import claim_of
+from servogen.simulate.spread import draw
 from support.loops import exact_motion, random_mechanism
 
 
@@ -96,6 +98,7 @@ WRONG = [
     (lambda q, u, tau: [sg.PassiveNonholonomic("a", u[0] ** 2)], ("'a'", "not affine in u")),
     (lambda q, u, tau: [sg.PassiveHolonomic("a", q[0] + tau[0])], ("'a'", "depends on tau")),
     (lambda q, u, tau: [sg.PassiveHolonomic("a", q[0]), sg.PassiveHolonomic("a", q[1])], ("'a'", "rename one")),
+    (lambda q, u, tau: [sg.PassiveHolonomic("a", ca.vertcat(q[0], ca.SX.sym("r") - 1))], ("'a'", "row 2", "on q")),
     (lambda q, u, tau: [q[0]], ("sg.PassiveHolonomic", "list")),
     (lambda q, u, tau: [sg.PassiveHolonomic("a", q[0], stabilise=-1.0)], ("'a'", "stabilise", "-1.0")),
     (lambda q, u, tau: [sg.PassiveHolonomic("a b", q[0])], ("'a b'", "identifier")),
@@ -109,6 +112,40 @@ def test_wrong_passive_constraints(passive: Any, words: tuple[str, ...]) -> None
         sg.Mechanism(**given | {"passive": passive(given["q"], given["u"], given["tau"])})
     for word in words:
         assert word in str(raised.value)
+
+
+def test_what_passive_constraints_may_be_made_of() -> None:
+    ref, given = sg.References(r=1.0), two_bars()
+    q, u = given["q"], given["u"]
+    for wrong, words in (
+        (sg.PassiveHolonomic("a", q[0] - ref.r), "passive constraint 'a': chi holds 'r', which is neither state"),
+        (sg.PassiveHolonomic("a", q[0], stabilise=q[1]), "'a': stabilise holds 'q_1', which is not a parameter"),
+        (sg.PassiveNonholonomic("a", u[0], stabilise=ref.r), "'a': stabilise holds 'r', which is not a parameter"),
+    ):
+        mech = sg.Mechanism(**given | {"passive": [wrong]})
+        with pytest.raises(sg.SceneError, match=words):
+            sg.Scene("crank", mech, [sg.Holonomic("x", q[1], Theta1=-1.0, Theta2=-1.0)], references=ref)
+
+
+def test_a_coordinate_by_which_only_chi_tells_places_apart_is_no_angle() -> None:
+    q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau")
+    screw = sg.PassiveHolonomic("screw", q[0] - 3 * q[1])
+    mech = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.DM.eye(2), P=ca.vertcat(0, ca.sin(q[1])), G=[1, 0], passive=[screw])
+    scene = sg.Scene("screw", mech, [sg.Nonholonomic("v", u[0], Theta=-1.0)], domain={"q": (-1, 1)})
+    assert not np.any(claim_of(scene, sg.Simulation(), {}).angle)
+
+
+def test_a_draw_that_cannot_be_closed_is_named() -> None:
+    par, given = sg.Parameters(r=0.8), two_bars()
+    mech = sg.Mechanism(**given | {"passive": [sg.PassiveHolonomic("ring", ca.sin(given["q"][0]) - par.r)]})
+    scene = sg.Scene("crank", mech, [sg.Holonomic("x", given["q"][1], Theta1=-1.0, Theta2=-1.0)], parameters=par)
+    plant, start = {"r": np.array([0.8])}, {"q": np.array([0.9, 0.0]), "u": np.zeros(2), "tau": np.zeros(2)}
+    drawn = draw(scene, {"r": 0.1}, np.arange(4), plant, start).arrays
+    np.testing.assert_allclose(np.sin(drawn["q"][:, 0]), drawn["plant"][:, 0], rtol=0, atol=1e-12)
+    alone = draw(scene, {"r": 0.1}, np.array([2]), plant, start).arrays
+    np.testing.assert_allclose(alone["q"][0], drawn["q"][2], rtol=0, atol=1e-15)
+    with pytest.raises(sg.SceneError, match=r"spread: the run of seed \d+ starts from r = 1\.\d+, where no q and u"):
+        draw(scene, {"r": 0.5}, np.arange(8), plant, start)
 
 
 def test_errors_of_scenes_with_passive_constraints() -> None:

@@ -72,6 +72,30 @@ def test_the_plant_may_be_another_mechanism(rail):
             ClosedLoop(rail.scene, replace(rail.simulation, plant=wrong))
 
 
+def test_the_plant_keeps_its_passive_constraints():
+    """Two masses of 1 that the controller takes for free are joined by a rod: its push moves both."""
+    q, u, f = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("f")
+    a, b, c = ca.SX.sym("a", 2), ca.SX.sym("b", 2), ca.SX.sym("c")
+    par = sg.Parameters(rod=sg.Parameter(1.0, "m", "length"))
+    bodies = {"Q": ca.DM.eye(2), "P": [0, 0], "G": [1, 0]}
+    scene = sg.Scene(
+        "pushed", sg.Mechanism(q=q, u=u, tau=f, **bodies), [sg.Nonholonomic("v", u[0] - 1, Theta=-2.0)], parameters=par
+    )
+    joined = [sg.PassiveHolonomic("rod", a[1] - a[0] - par.rod, stabilise=par.rod)]
+    simulation = sg.Simulation(
+        start={"q": [0, 2], "u": [0, 0]}, plant=sg.Mechanism(q=a, u=b, tau=c, passive=joined, **bodies), duration=1.0
+    )
+    run = ClosedLoop(scene, simulation).run(plant={"rod": 3.0})
+    assert np.allclose(run.q[0], [-0.5, 2.5])
+    assert np.allclose(run.u, 1 - np.exp(-run.t)[:, None], atol=1e-11)  # tau = 2 (1 - u), and 2 u' = tau
+    assert len(run.drift) == len(run.t)
+    assert np.max(run.drift) < 1e-12
+    strange = sg.PassiveHolonomic("rod", a[1] - a[0] - ca.SX.sym("load"))
+    wrong = sg.Mechanism(q=a, u=b, tau=c, passive=[strange], **bodies)
+    with pytest.raises(sg.SceneError, match="passive constraint 'rod': chi holds the symbol 'load'"):
+        ClosedLoop(scene, replace(simulation, plant=wrong))
+
+
 def test_disturbances_push_beside_p_and_beside_tau(rail):
     """A constant force of 1 N beside P and a ramp of t N beside tau: x'' = the law + (1 + t) / 2."""
     pushed = {"P": 1.0, "tau": lambda t: t}

@@ -46,11 +46,16 @@ class PassiveNonholonomic:
 Passive = PassiveHolonomic | PassiveNonholonomic
 
 
+def passive_name(constraint: Passive, part: str) -> str:
+    """What an error calls a part of it, "chi" or "stabilise"."""
+    return f"passive constraint {constraint.name!r}: {part}"
+
+
 def _check(constraint: Passive) -> None:
     check_identifier(constraint.name, "passive constraint")
-    what = f"passive constraint {constraint.name!r}"
-    object.__setattr__(constraint, "chi", ca.densify(column(constraint.chi, f"{what}: chi")))
-    object.__setattr__(constraint, "stabilise", rates(constraint.stabilise, f"{what}: stabilise", 1))
+    chi, stabilise = (passive_name(constraint, n) for n in ("chi", "stabilise"))
+    object.__setattr__(constraint, "chi", ca.densify(column(constraint.chi, chi)))
+    object.__setattr__(constraint, "stabilise", rates(constraint.stabilise, stabilise, 1))
 
 
 def check_passive(given: Any, q: Any, u: Any, tau: Any) -> tuple[Passive, ...]:
@@ -68,12 +73,16 @@ def check_passive(given: Any, q: Any, u: Any, tau: Any) -> tuple[Passive, ...]:
         if isinstance(c, PassiveHolonomic):
             if ca.depends_on(c.chi, u):
                 raise SceneError(f"{what}: a holonomic chi is of q and t only; use sg.PassiveNonholonomic")
+            for k in range(c.chi.size1()):
+                if not ca.depends_on(c.chi[k], q):
+                    row = "chi" if c.chi.size1() == 1 else f"row {k + 1} of chi"
+                    raise SceneError(
+                        f"{what}: {row} does not depend on q; write it as a function of q, or leave it out"
+                    )
             continue
         slope = ca.jacobian(c.chi, u)
         if slope.nnz() == 0:
             raise SceneError(f"{what}: chi does not depend on u; use sg.PassiveHolonomic")
         if ca.depends_on(slope, u):
             raise SceneError(f"{what}: chi is not affine in u; write it as J(q, t) u + c(q, t)")
-        if not ca.depends_on(c.chi, ca.vertcat(q, u)):
-            raise SceneError(f"{what}: chi depends on no state; write it as a function of q and u")
     return tuple(listed)

@@ -21,7 +21,7 @@ from servogen.scene.constraints import (
 from servogen.scene.convert import column, matrix
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
-from servogen.scene.passive import PassiveHolonomic
+from servogen.scene.passive import PassiveHolonomic, passive_name
 from servogen.scene.solver import Solver
 from servogen.scene.symbols import Field, Parameters, References
 from servogen.scene.system import SYSTEMS, Function, Kind, System
@@ -180,8 +180,7 @@ def expressions(scene: Scene) -> dict[str, Any]:
     mech = scene.mechanism
     parts = {name: getattr(mech, name) for name in ("Q", "P", "G", "C", "D") if getattr(mech, name) is not None}
     for passive in mech.passive:
-        parts[f"passive constraint {passive.name!r}: chi"] = passive.chi
-        parts[f"passive constraint {passive.name!r}: stabilise"] = passive.stabilise
+        parts |= {passive_name(passive, n): getattr(passive, n) for n in ("chi", "stabilise")}
     for c in scene.constraints:
         symbol = "phi" if isinstance(c, ControlsInvolved) else "psi"
         parts[f"constraint {c.name!r}: {symbol}"] = expression_of(c)
@@ -269,6 +268,24 @@ def _check_kinds(scene: Scene) -> None:
                         f"constraint {c.name!r}: {name} holds {symbol.name()!r}, which is not a parameter; "
                         "make it of numbers and sg.Parameters"
                     )
+    _check_passive_symbols(scene)
+
+
+def _check_passive_symbols(scene: Scene) -> None:
+    """chi is of the state, time and parameters, stabilise of parameters: else no state could be closed onto them."""
+    mech = scene.mechanism
+    parameters = ca.vertcat(*(f.symbol for f in scene.parameters))
+    state = ca.vertcat(mech.q, mech.u, ca.SX(0, 1) if mech.t is None else mech.t, parameters)
+    for c in mech.passive:
+        speeds = "" if isinstance(c, PassiveHolonomic) else "u, "
+        for name, allowed, made_of in (
+            ("chi", state, f"make it of q, {speeds}t and sg.Parameters"),
+            ("stabilise", parameters, "make it of numbers and sg.Parameters"),
+        ):
+            for symbol in ca.symvar(getattr(c, name)):
+                if not _among(symbol, allowed):
+                    kind = "not a parameter" if name == "stabilise" else "neither state, time nor parameter"
+                    raise SceneError(f"{passive_name(c, name)} holds {symbol.name()!r}, which is {kind}; {made_of}")
 
 
 def _among(symbol: Any, symbols: Any) -> bool:

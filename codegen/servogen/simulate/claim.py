@@ -151,7 +151,8 @@ def _angles(scene: Scene) -> NDArray[np.bool_]:
     """Which entries of q are angles: all the scene is made of depends on them, and is 2 pi-periodic in them."""
     mech = scene.mechanism
     free = [x for x in (scene.y, scene.weight) if isinstance(x, ca.SX)]
-    parts = [mech.Q, mech.P, mech.G, mech.q_dot, *(expression_of(c) for c in scene.constraints), *free]
+    chi = [c.chi for c in mech.passive]
+    parts = [mech.Q, mech.P, mech.G, mech.q_dot, *chi, *(expression_of(c) for c in scene.constraints), *free]
     whole = ca.vertcat(*(ca.vec(ca.densify(ca.SX(x))) for x in parts))
     symbols = known_symbols(scene)
     function = ca.Function("whole", [s for _, s in symbols], [whole])

@@ -25,7 +25,7 @@ from servogen.simulate.batch import OUTCOME, Job, Part, do, setup_struct, stop_s
 from servogen.simulate.board import Setup, run_on_board
 from servogen.simulate.claim import claim_of
 from servogen.simulate.ideal import ideal_decay, prescribed, value_at
-from servogen.simulate.machine import Grid, grid_of, machine_arrays
+from servogen.simulate.machine import Grid, grid_of, machine_arrays, plant_scene
 from servogen.simulate.manifold import closed_start, drift_of
 from servogen.simulate.options import Options, options_of
 from servogen.simulate.runs import Runs, runs_of
@@ -88,6 +88,7 @@ class ClosedLoop:
         self.simulation = simulation or Simulation()
         self.scalar = scalar
         check_simulation(scene, self.simulation)
+        self._plant = plant_scene(scene, self.simulation)
         self.target = target
         self._folder = tempfile.TemporaryDirectory(prefix="servogen-loop-")
         self._sources = write_loop(scene, self.simulation, Path(self._folder.name), scalar)
@@ -106,7 +107,7 @@ class ClosedLoop:
         given = options_of(options if replay is None else options | {"seed": replay})
         plan = self._plan(given)
         if replay is not None:
-            plan = plan.drawn(draw(self.scene, self._spread(given), [replay], plan.plant, plan.inputs), 0)
+            plan = plan.drawn(draw(self._plant, self._spread(given), [replay], plan.plant, plan.inputs), 0)
         began = time.perf_counter()
         rows, marks, stop = self._integrate(self._setup(plan), plan.grid.steps // plan.grid.row_every, progress)
         seconds = time.perf_counter() - began
@@ -133,7 +134,7 @@ class ClosedLoop:
         if not 0 <= first <= 2**32 - count:
             raise SceneError(f"seed {first!r} for {count} runs; give a whole number from 0 to {2**32 - count}")
         plan = self._plan(given)
-        drawn = draw(self.scene, self._spread(given), np.arange(first, first + count), plan.plant, plan.inputs)
+        drawn = draw(self._plant, self._spread(given), np.arange(first, first + count), plan.plant, plan.inputs)
         job, states = self._job(plan), self._prescribed_starts(plan, drawn)
         workers = os.cpu_count() or 1
         size = max(1, min(250, count // (4 * workers)))
@@ -220,7 +221,7 @@ class ClosedLoop:
         if method not in METHODS:
             raise SceneError(f"method {method!r}; choose {' or '.join(METHODS)}")
         values, own = self._parameters(given.parameters or {}, given.plant or {})
-        inputs |= closed_start(self.scene, inputs, own)
+        inputs |= closed_start(self._plant, inputs, own)
         return _Plan(simulation, grid, inputs, values, own, method, given.project)
 
     def _grid(self, simulation: Simulation, options: Options) -> Grid:
@@ -357,7 +358,7 @@ class ClosedLoop:
             parameters=parameters,
             plant=plan.plant,
             inputs=given,
-            drift=drift_of(self.scene, columns),
+            drift=drift_of(self._plant, columns),
         )
 
     def _moving(self, t: FloatArray) -> dict[str, FloatArray]:

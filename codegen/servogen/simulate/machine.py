@@ -12,6 +12,7 @@ from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.convert import column
 from servogen.scene.mechanism import Mechanism
+from servogen.scene.passive import passive_name
 from servogen.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -229,6 +230,8 @@ def _in_the_scenes_symbols(scene: Scene, other: Mechanism) -> Mechanism:
     pairs += [(other.t, time)] if other.t is not None else []
     before, after = ca.vertcat(*(a for a, _ in pairs)), ca.vertcat(*(b for _, b in pairs))
     parts = {n: getattr(other, n) for n in ("Q", "P", "G", "C", "D") if getattr(other, n) is not None}
+    for c in other.passive:
+        parts |= {passive_name(c, n): getattr(c, n) for n in ("chi", "stabilise")}
     turned = dict(zip(parts, ca.substitute(list(parts.values()), [before], [after]), strict=True))
     known = {s.__hash__() for s in ca.vertcat(after, *(f.symbol for f in scene.parameters)).nonzeros()}
     for name, sx in turned.items():
@@ -238,7 +241,8 @@ def _in_the_scenes_symbols(scene: Scene, other: Mechanism) -> Mechanism:
                     f"simulation: the plant's {name} holds the symbol {symbol.name()!r}; make it of its own q, u, tau, "
                     "t, of numbers, and of the scene's parameters"
                 )
-    return Mechanism(q=own.q, u=own.u, tau=own.tau, t=time, **turned)
+    passive = [replace(c, **{n: turned.pop(passive_name(c, n)) for n in ("chi", "stabilise")}) for c in other.passive]
+    return Mechanism(q=own.q, u=own.u, tau=own.tau, t=time, passive=passive, **turned)
 
 
 def _disturbed(scene: Scene, mech: Mechanism, disturbance: Mapping[str, Callable[[Any], Any] | Any]) -> Mechanism:

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.closing import Closer
-from servogen.scene.scene import Scene
+from servogen.scene.scene import Scene, State
 
 
 def closed_start(
@@ -16,15 +17,22 @@ def closed_start(
     """q and u of a start, on that plant's passive constraints. SceneError, with the residual, if none is near."""
     if not scene.mechanism.passive:
         return {"q": inputs["q"], "u": inputs["u"]}
-    closer, state = Closer(scene), {n: np.asarray(v).reshape(1, -1) for n, v in {**inputs, **plant}.items()}
-    found, (good,) = closer.close(state)
+    state = {n: np.asarray(v).reshape(1, -1) for n, v in {**inputs, **plant}.items()}
+    found, (good,) = closed_starts(scene, state)
     if not good:
         names = ", ".join(repr(c.name) for c in scene.mechanism.passive)
         raise SceneError(
-            f"start: passive constraints ({names}) are off by {closer.residual(state)[0]:.3g}, and Newton's method "
-            "finds no q and u near by that satisfy them; start from a state that does"
+            f"start: passive constraints ({names}) are off by {Closer(scene).residual(state)[0]:.3g}, and "
+            "Newton's method finds no q and u near by that satisfy them; start from a state that does"
         )
-    return {"q": found["q"][0], "u": found["u"][0]}
+    return {n: v[0] for n, v in found.items()}
+
+
+def closed_starts(scene: Scene, states: State) -> tuple[dict[str, FloatArray], NDArray[np.bool_]]:
+    """q and u of N starts, each name -> (N, size) with its plant's parameters, brought onto the passive constraints,
+    and where that succeeded (N,)."""
+    found, good = Closer(scene).close(states)
+    return {n: found[n] for n in ("q", "u")}, good
 
 
 def drift_of(scene: Scene, columns: Mapping[str, FloatArray]) -> FloatArray:

@@ -11,7 +11,7 @@ from servogen.remarks import say
 from servogen.results import FloatArray
 from servogen.scene.scene import Scene
 from servogen.simulate.machine import sized_magnitudes
-from servogen.simulate.manifold import closed_start
+from servogen.simulate.manifold import closed_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,8 @@ def draw(
 ) -> Draws:
     """Uniform about the nominal values: parameters within a share of theirs, q and u within a width in their own unit.
 
-    A run's draw follows from its seed and the spread alone, so that each can be had again.
+    scene: with the plant's mechanism, onto whose passive constraints each start is brought; SceneError where none is
+    near. A run's draw follows from its seed and the spread alone, so that each can be had again.
     """
     halves = check_spread(scene, spread)
     order = [n for n in (*plant, "q", "u") if n in halves]
@@ -80,10 +81,16 @@ def draw(
         varied[name] = nominal + own * half * (1.0 if name in ("q", "u") else nominal)
         names += [name] if len(half) == 1 else [f"{name}[{k}]" for k in range(len(half))]
     full = {n: np.tile(v, (len(seeds), 1)) for n, v in (*plant.items(), ("q", start["q"]), ("u", start["u"]))} | varied
-    for k in range(len(seeds) if scene.mechanism.passive else 0):
-        own_plant = {n: full[n][k] for n in plant}
-        for name, value in closed_start(scene, {**start, "q": full["q"][k], "u": full["u"][k]}, own_plant).items():
-            full[name][k] = value
+    if scene.mechanism.passive and len(seeds):
+        closed, good = closed_starts(scene, {n: np.tile(v, (len(seeds), 1)) for n, v in start.items()} | full)
+        if not np.all(good):
+            k = int(np.argmin(good))
+            drawn = "; ".join(f"{n} = {_listed(varied[n][k])}" for n in order)
+            raise SceneError(
+                f"spread: the run of seed {seeds[k]} starts from {drawn or 'what is given'}, where no q and u near by "
+                "satisfy the passive constraints; narrow the spread, or start from another state"
+            )
+        full |= closed
     arrays = {
         "plant": np.hstack([np.zeros((len(seeds), 0)), *(full[n] for n in plant)]),
         "q": full["q"],
