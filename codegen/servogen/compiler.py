@@ -100,7 +100,7 @@ def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
     formulation = derive(samples, found)
     survey_values(samples, formulation)
     lowered = lower(formulation)
-    remarks = found.remarks + survey_reach(samples, formulation, lowered)
+    remarks = found.remarks + formulation.remarks + survey_reach(samples, formulation, lowered)
     told = tuple(f"scene {scene.name!r}: {text}" for text in remarks)
     return replace(formulation, remarks=told), lowered
 

@@ -148,6 +148,24 @@ def test_a_draw_that_cannot_be_closed_is_named() -> None:
         draw(scene, {"r": 0.5}, np.arange(8), plant, start)
 
 
+def test_rows_that_others_make_up() -> None:
+    """Left out with a remark where the others make them up whatever the parameters are, refused where by accident."""
+    q, u, tau = ca.SX.sym("q", 3), ca.SX.sym("u", 3), ca.SX.sym("tau")
+    par = sg.Parameters(a=1.0, b=1.0)
+    first = par.a * q[0] - par.b * q[1]
+
+    def scene(*rows: Any) -> sg.Scene:
+        chi = sg.PassiveHolonomic("joint", ca.vertcat(*rows))
+        mech = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.DM.eye(3), P=-q, G=[1, 0, 0], passive=[chi])
+        return sg.Scene("rows", mech, [sg.Nonholonomic("v", u[0], Theta=-1.0)], parameters=par)
+
+    (told,) = derived_scene(scene(first, 2 * first))[0].remarks
+    assert told.startswith("scene 'rows': passive constraint 'joint': row 2 of chi is left out")
+    words = "'joint': row 2 of chi depends on the other passive constraints at the parameters' defaults, but not"
+    with pytest.raises(sg.SceneError, match=words):
+        derived_scene(scene(q[0] - q[1], first))
+
+
 def test_errors_of_scenes_with_passive_constraints() -> None:
     mech = sg.Mechanism(**two_bars())
     psi = [sg.Holonomic("x", mech.q[0], Theta1=-1.0, Theta2=-1.0)]

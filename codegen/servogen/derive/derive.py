@@ -1,8 +1,11 @@
 """From a scene to its equations."""
 
+from dataclasses import replace
+
 from servogen.derive.controls import derive_controls
 from servogen.derive.formulation import Formulation, MassFindings
 from servogen.derive.ideal import derive_ideal
+from servogen.derive.passive import left_out
 from servogen.derive.servo import derive_servo
 from servogen.scene.samples import Samples
 
@@ -11,4 +14,5 @@ _DERIVATIONS = {"servo": derive_servo, "ideal": derive_ideal, "controls": derive
 
 def derive(samples: Samples, found: MassFindings) -> Formulation:
     """The system of the samples' scene and what belongs to it. found: of its Q. SceneError for a Q that is singular."""
-    return _DERIVATIONS[samples.scene.kind](samples, found)
+    formulation = _DERIVATIONS[samples.scene.kind](samples, found)
+    return replace(formulation, remarks=left_out(samples))

@@ -5,6 +5,7 @@ both by LDL^T. Who asks for rows K of K u' gets W and a shift, K u' = W (P + G t
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -14,6 +15,8 @@ from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import MassFindings, MassTreatment, Quantity
 from servogen.derive.mass import solve_definite, solve_with_mass
 from servogen.errors import SceneError
+from servogen.results import FloatArray
+from servogen.scene.closing import Closer
 from servogen.scene.known_rates import Gauge
 from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import AT_DEFAULTS, Samples
@@ -61,7 +64,7 @@ def respond(
         W_transposed, mass = solve_with_mass(scene, found, K.T, transposed=True)
         return W_transposed.T, ca.SX.zeros(K.size1()), mass
     closure = closure_of(scene, gauge)
-    kept = independent_rows(samples, closure.J)
+    kept = independent_rows(samples)
     J, j = closure.J[kept, :], closure.j[kept]
     m = K.size1()
     both, mass = _solve_definite_mass(samples, found, ca.horzcat(K.T, J.T))
@@ -79,7 +82,7 @@ def accelerations(
     if not scene.mechanism.passive:
         return solve_with_mass(scene, found, force)
     closure = closure_of(scene, stabilised=stabilised)
-    kept = independent_rows(samples, closure.J)
+    kept = independent_rows(samples)
     J, j = closure.J[kept, :], closure.j[kept]
     both, mass = _solve_definite_mass(samples, found, ca.horzcat(force, J.T))
     free, held = both[:, 0], both[:, 1:]
@@ -93,7 +96,7 @@ def passive_quantities(samples: Samples, found: MassFindings) -> tuple[Quantity,
     if not mech.passive:
         return ()
     closure = closure_of(scene)
-    kept = independent_rows(samples, closure.J)
+    kept = independent_rows(samples)
     J, j = closure.J[kept, :], closure.j[kept]
     both, mass = _solve_definite_mass(samples, found, ca.horzcat(mech.P + ca.mtimes(mech.G, mech.tau), J.T))
     lam, _ = _solve_closure(samples, _gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
@@ -105,20 +108,62 @@ def passive_quantities(samples: Samples, found: MassFindings) -> tuple[Quantity,
     )
 
 
-def independent_rows(samples: Samples, J: Any) -> list[int]:
-    """Rows of J that are independent over the domain and make up all others: by pivoting over states drawn.
+@lru_cache(maxsize=16)
+def independent_rows(samples: Samples) -> list[int]:
+    """Rows of J that are independent over the domain and make up all others: by pivoting over the states examined.
 
-    SceneError for a row that vanishes, and where no choice serves at every state.
+    Each state is brought onto the constraints as the parameters drawn with it make them, for rows that are dependent
+    at the defaults alone are dependent no more once a parameter changes. SceneError for these, where all rows vanish,
+    and where J is not finite.
     """
-    values = samples.values(J)[:AT_DEFAULTS]  # where the states are closed
-    values = values[np.all(np.isfinite(values), axis=(1, 2))]
-    if not len(values):
+    scene = samples.scene
+    J = closure_of(scene).J
+    states, good = Closer(scene).close(samples.examined | samples.parameters)
+    values = replace(samples, examined=states).values(J)
+    finite = np.all(np.isfinite(values), axis=(1, 2))
+    usual = np.arange(len(values)) < AT_DEFAULTS
+    if not np.any(finite & usual):
         raise SceneError("passive: J is not finite at any state drawn from the domain; give a domain in which it is")
+    taken, at_defaults = _pivots(values[finite & (usual | good)]), _pivots(values[finite & usual])
+    labels = row_labels(scene)
+    if not taken:
+        raise SceneError(f"{labels[0]} does not depend on the motion; give one that does")
+    if len(at_defaults) < len(taken):
+        more = next(k for k in taken if k not in at_defaults)
+        raise SceneError(
+            f"{labels[more]} depends on the other passive constraints at the parameters' defaults, but not at others: "
+            "leave it out, or write it with the same parameters as those, so that it always does"
+        )
+    return taken
+
+
+def left_out(samples: Samples) -> tuple[str, ...]:
+    """A remark on each row of chi that the other ones make up already."""
+    if not samples.scene.mechanism.passive:
+        return ()
+    kept = independent_rows(samples)
+    return tuple(
+        f"{label} is left out, for the others make it up already at every state examined; leave it out of chi, too"
+        for k, label in enumerate(row_labels(samples.scene))
+        if k not in kept
+    )
+
+
+def row_labels(scene: Scene) -> list[str]:
+    """What each row of chi is called in a message."""
+    return [
+        f"passive constraint {c.name!r}: " + ("chi" if c.chi.size1() == 1 else f"row {k + 1} of chi")
+        for c in scene.mechanism.passive
+        for k in range(c.chi.size1())
+    ]
+
+
+def _pivots(values: FloatArray) -> list[int]:
+    """Rows of the matrices (N, p, n) that make up all others."""
     size = np.linalg.norm(values, axis=2, keepdims=True)
-    labels = [f"{c.name!r}" for c in samples.scene.mechanism.passive for _ in range(c.chi.size1())]
     rest = values / np.where(size == 0, 1, size)
     taken: list[int] = []
-    while len(taken) < len(labels):
+    while len(taken) < values.shape[1]:
         lengths = np.sqrt(np.sum(rest**2, axis=2))
         score = np.exp(np.mean(np.log(lengths + 1e-12), axis=0))
         score[taken] = -1.0
@@ -128,8 +173,6 @@ def independent_rows(samples: Samples, J: Any) -> list[int]:
         taken.append(best)
         row = rest[:, best, :] / np.maximum(lengths[:, best, None], 1e-300)
         rest = rest - np.einsum("sij,sj->si", rest, row)[:, :, None] * row[:, None, :]
-    if not taken:
-        raise SceneError(f"passive constraint {labels[0]}: chi does not depend on the motion; give one that does")
     return sorted(taken)
 
 
