@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -243,3 +244,17 @@ def test_what_does_not_fit_is_refused(pair: tuple[sg.Scene, dict[str, Path]], tm
         sg.build_fmu(scene, tmp_path / "file", binary=False)
     with pytest.raises(sg.SceneError, match="start: 'v' is unknown"):
         sg.build_fmu(scene, tmp_path, simulation=sg.Simulation(start={"v": 1.0}))
+
+
+def test_a_unit_starts_on_the_plants_passive_constraints(tmp_path: Path) -> None:
+    q, u, f = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("f")
+    par = sg.Parameters(rod=1.0)
+    rod = sg.PassiveHolonomic("rod", q[1] - q[0] - par.rod)
+    mech = sg.Mechanism(q=q, u=u, tau=f, Q=ca.DM.eye(2), P=[0, 0], G=[1, 0], passive=[rod])
+    scene = sg.Scene("pushed", mech, [sg.Nonholonomic("v", u[0] - 1, Theta=-2.0)], parameters=par)
+    simulation = sg.Simulation(start={"q": [0, 2], "u": [1, 0]}, plant={"rod": 3.0})
+    for plant in (False, True):
+        file = sg.build_fmu(scene, tmp_path, plant=plant, simulation=simulation, binary=False)
+        start = {v.name: v.start for v in fmpy.read_model_description(str(file)).modelVariables}
+        assert np.allclose(np.array(start["q"].split(), float), [-0.5, 2.5])
+        assert np.allclose(np.array(start["u"].split(), float), [0.5, 0.5])

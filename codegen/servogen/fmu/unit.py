@@ -20,9 +20,11 @@ from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.render.fold import folded
 from servogen.render.render import environment
+from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene, check_scene
 from servogen.simulate.machine import HOLD_SUBSTEPS, plant_scene
+from servogen.simulate.manifold import closed_start
 from servogen.simulate.simulation import METHODS, Simulation, check_simulation, run_takes, start_values
 from servogen.tools import firmware_sim
 from servogen.twins.compiled import build_library
@@ -169,7 +171,7 @@ def _controller_unit(package: Package, scene: Scene, simulation: Simulation) -> 
     missing = [name for name in needs if name not in offered]
     if missing:
         raise SceneError(f"an FMU calls {', '.join(needs)}; entry_points leave out {', '.join(missing)}")
-    starts = {n: _numbers(v) for n, v in start_values(scene, simulation).items() if n != "t"}
+    starts = _starts(scene, simulation)
     first = starts.pop("tau")
     found = interface(package, starts, {f.name: f.default for f in module.parameters})
     advances = bool(module.law.advanced())
@@ -184,14 +186,25 @@ def _controller_unit(package: Package, scene: Scene, simulation: Simulation) -> 
     return _Unit(package, title, "controller", tuple(found.all), numbers, _experiment(simulation))
 
 
+def _starts(scene: Scene, simulation: Simulation) -> dict[str, tuple[float, ...]]:
+    """Every input at the start, which is brought onto the plant's passive constraints as that of a simulation is."""
+    given = start_values(scene, simulation)
+    given |= closed_start(plant_scene(scene, simulation), given, _plant_parameters(scene, simulation))
+    return {n: _numbers(v) for n, v in given.items() if n != "t"}
+
+
+def _plant_parameters(scene: Scene, simulation: Simulation) -> dict[str, FloatArray]:
+    sizes = run_takes(scene)["parameters"]
+    own = simulation.plant if isinstance(simulation.plant, Mapping) else {}
+    defaults = {f.name: np.asarray(f.default, float) for f in scene.parameters}
+    return defaults | {n: np.broadcast_to(np.asarray(v, float), (sizes[n],)) for n, v in own.items()}
+
+
 def _plant_unit(package: Package, scene: Scene, simulation: Simulation) -> _Unit:
-    starts = {n: _numbers(v) for n, v in start_values(scene, simulation).items() if n != "t"}
+    starts = _starts(scene, simulation)
     q, u = starts.pop("q"), starts.pop("u")
-    parameters = {f.name: f.default for f in package.module.parameters}
-    if isinstance(simulation.plant, Mapping):
-        sizes = run_takes(scene)["parameters"]
-        parameters |= {n: _numbers(np.broadcast_to(v, (sizes[n],))) for n, v in simulation.plant.items()}
-    found = interface(package, starts, parameters)
+    own = _plant_parameters(scene, simulation)
+    found = interface(package, starts, {f.name: _numbers(own[f.name]) for f in package.module.parameters})
     add_plant(found, q, u, METHODS, simulation.method, HOLD_SUBSTEPS)
     numbers = {"nq": len(q), "nu": len(u), "states": len(q) + len(u)}
     title = f"mechanism of scene {scene.name}"
