@@ -6,15 +6,20 @@ import re
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
+import servogen as sg
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
 from servogen.bench.plot import _NARROW, _WIDE, _labels, _spread, draw, pareto
 from servogen.bench.results import Output
 from servogen.bench.run import bench
+from servogen.bench.user import expressions, function
 from servogen.loading import load_scene
+from servogen.scene.domain import draw_states
+from support.loops import random_mechanism
 from support.mutate import mutated
 
 SCENE = load_scene("double_pendulum_energy")
@@ -158,3 +163,19 @@ def test_everyone_honours_the_weight(free: bool) -> None:
     answers = [m for m in result.measurements if m.output is Output.ANSWER]
     assert {"servogen f64", BASELINE, "CasADi VM, numpy", "textbook twin"} <= {m.contender for m in answers}
     assert all(m.errors.largest_ulps < 1e6 for m in answers)
+
+
+@pytest.mark.parametrize("ldlt", [False, True])
+def test_a_user_solves_the_closed_mechanism(ldlt: bool) -> None:
+    """CasADi's contenders had the loop cut open: their answer was that of another mechanism."""
+    mech = random_mechanism(7, 5, 1, 1, redundant=True)
+    phi = sg.ControlsInvolved("phi", mech.tau[:2] - ca.sin(mech.q[:2]) * mech.u[:2], Theta=-1.0)
+    psi = sg.Holonomic("psi", ca.vertcat(mech.q[0] + ca.sin(mech.q[1]), mech.q[2] * mech.q[1]), -2.0, -3.0)
+    for constraint in (psi, phi):
+        scene = sg.Scene("joined", mech, [constraint], domain={"q": (-1.5, 1.5), "u": (-1.0, 1.0)})
+        system = function(scene, "system", expressions(scene, ldlt)[Output.SYSTEM], cse=False)
+        state = {n: v[0] for n, v in draw_states(scene, 1).items()} | {"tau": np.array([0.3, -0.2, 0.5])}
+        right, twin = scene.system.right, sg.reference(scene)
+        expected = [getattr(twin, n)(**state).ravel() for n in (scene.system.matrix, right)]
+        found = np.array(system(*(state[f.name] for f in scene.input_fields()), [])).ravel()
+        np.testing.assert_allclose(found, np.concatenate(expected), rtol=0, atol=1e-9 * np.max(np.abs(found)))

@@ -10,6 +10,7 @@ import numpy as np
 
 from servogen.derive.controls import BENT_CAP
 from servogen.derive.ideal import dependent_columns
+from servogen.derive.passive import independent_rows
 from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
@@ -51,7 +52,24 @@ def textbook_system(scene: Scene, solve: Solve, rows: bool = False) -> tuple[Any
     rows: of a product J Q^-1 X, Q is solved with for the rows of J, so that its second product is a short one.
     """
     parts = _textbook_parts(scene)
+    if scene.mechanism.passive:
+        solve, shift = _constrained(scene, solve)
+        parts["X"] = parts["X"] + ca.mtimes(parts["J"], shift)
     return _class_of(scene).written(scene, parts | {"product": lambda X: _product(parts["J"], X, solve, rows)}, solve)
+
+
+def _constrained(scene: Scene, solve: Solve) -> tuple[Solve, Any]:
+    """X -> u' under forces X and those of the passive constraints without their drift, and what that adds to u'."""
+    kept, given = independent_rows(draw_samples(scene)), _passive_parts(scene)
+    J, j = given["passive_J"][kept, :], given["passive_j"][kept]
+    held = solve(J.T)
+    A = ca.mtimes(J, held)
+
+    def answer(X: Any) -> Any:
+        free = solve(X)
+        return free - ca.mtimes(held, ca.solve(A, ca.mtimes(J, free)))
+
+    return answer, -ca.mtimes(held, ca.solve(A, j))
 
 
 def _product(J: Any, X: Any, solve: Solve, rows: bool) -> Any:
