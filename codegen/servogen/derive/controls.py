@@ -7,7 +7,7 @@ import casadi as ca
 
 from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, MassFindings, Quantity
-from servogen.derive.passive import accelerations, passive_quantities
+from servogen.derive.passive import HELD, accelerations, passive_quantities
 from servogen.derive.rates import rate
 from servogen.derive.servo import free_quantities
 from servogen.derive.weight import weigh
@@ -43,8 +43,9 @@ def derive_controls(samples: Samples, found: MassFindings) -> Formulation:
         Quantity(
             "B",
             ca.vertcat(*B),
-            "Eq. (40)",
-            "-phi_q (C u + D) - phi_u Q^-1 (P + G tau) - phi_t" + (" + Theta phi" if damped else ""),
+            "" if mech.passive else "Eq. (40)",
+            f"-phi_q (C u + D) - phi_u Q^-1 (P + G tau{HELD if mech.passive else ''}) - phi_t"
+            + (" + Theta phi" if damped else ""),
             needs_mass=True,
         ),
     ]

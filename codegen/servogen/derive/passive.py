@@ -22,6 +22,9 @@ from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import AT_DEFAULTS, Samples
 from servogen.scene.scene import Scene
 
+HELD = " + J^T lam"
+"""What stands beside P + G tau in a formula."""
+
 _NEGLIGIBLE = 1e-9
 """Of rows brought to length one: what is left of one that the others make up already is not larger."""
 
@@ -103,8 +106,8 @@ def passive_quantities(samples: Samples, found: MassFindings) -> tuple[Quantity,
     if len(kept) < closure.J.size1():
         lam = _least(closure.J, J, lam)
     return (
-        Quantity("lam", lam, "Eq. (2)", "-(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j)", needs_mass=True),
-        Quantity("closure", ca.vertcat(closure.chi, closure.chi_dot), "Eq. (2)", "chi, and chi' of holonomic rows"),
+        Quantity("lam", lam, "", "-(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j)", needs_mass=True),
+        Quantity("closure", ca.vertcat(closure.chi, closure.chi_dot), "", "chi, and chi' of holonomic rows"),
     )
 
 

@@ -14,6 +14,7 @@ from servogen.scene.convert import is_identity
 from servogen.scene.known_rates import Gauge
 from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene
+from servogen.scene.system import NEAREST
 
 
 def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
@@ -91,6 +92,22 @@ def _free_in_sigma(scene: Scene, weight: Weight) -> Any:
 
 def _words(scene: Scene) -> dict[str, tuple[str, str]]:
     """Equation and formula of psi, S and z for the kinds of constraints there are."""
+    words = _free_words(scene)
+    if not scene.mechanism.passive:
+        return words
+    # The paper has no passive constraints: J and j are theirs here, and K the rows of u' in the servo-constraints.
+    holonomic = [isinstance(c, Holonomic) for c in scene.constraints]
+    K = "psi_q C" if all(holonomic) else "K" if any(holonomic) else "psi_u"
+    told = ", K = psi_u or psi_q C" if K == "K" else ""
+    prescribed = words["z"][1].split(" - X")[1]
+    return {
+        "psi": words["psi"],
+        "S": ("", f"{K} N G{told}, {NEAREST}"),
+        "z": ("", f"-{K} N P + {K} Q^-1 J^T A^-1 j - X{prescribed}"),
+    }
+
+
+def _free_words(scene: Scene) -> dict[str, tuple[str, str]]:
     holonomic = [isinstance(c, Holonomic) for c in scene.constraints]
     if not any(holonomic):
         return {

@@ -47,12 +47,22 @@ class System:
 
     def with_passive(self) -> "System":
         """The same of a mechanism with passive constraints: multipliers and closure are functions, too."""
-        return replace(self, functions=(*self.functions, *PASSIVE))
+        own = (replace(f, text=_WITH_PASSIVE.get(f.name, f.text)) for f in self.functions)
+        return replace(self, functions=(*own, *PASSIVE))
 
     def function(self, name: str) -> Function | None:
         """The function of that name, None where there is none."""
         return next((f for f in self.functions if f.name == name), None)
 
+
+NEAREST = "N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T"
+"""What Q^-1 becomes under passive constraints J u' + j = 0: u' = N (P + G tau) - Q^-1 J^T A^-1 j."""
+
+_WITH_PASSIVE = {
+    "S": f"psi_u N G, {NEAREST} of the passive constraints' J, shape (m, l).",
+    "z": "-psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi, N and A as for S, shape (m,).",
+    "B": "Right side of A tau' = B, with the passive constraints' J^T lam beside P + G tau, shape (m,).",
+}
 
 PASSIVE = (
     Function("lam", "The multipliers of the passive constraints under tau, of least norm, shape (p,).", "p"),

@@ -735,7 +735,7 @@ static void four_bar_f32_eval_S(const four_bar_f32_model *model, const four_bar_
     const float t59 = t34 * t55;
     const float t60 = t58 + t59;
     const float t61 = t13 - t60;
-    /* S = psi_u Q^-1 G, Eq. (8) */
+    /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t61;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t12;
@@ -883,7 +883,7 @@ static void four_bar_f32_eval_z(const four_bar_f32_model *model, const four_bar_
     const float t116 = in->speed_dot + t115;
     const float t117 = t109 + t116;
     const float t118 = t98 + t117;
-    /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
+    /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t15;
@@ -1032,9 +1032,9 @@ static void four_bar_f32_eval_S_z(const four_bar_f32_model *model, const four_ba
     const float t116 = in->speed_dot + t115;
     const float t117 = t109 + t116;
     const float t118 = t98 + t117;
-    /* S = psi_u Q^-1 G, Eq. (8) */
+    /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t68;
-    /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
+    /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t15;
@@ -1209,7 +1209,7 @@ static void four_bar_f32_eval_lam(const four_bar_f32_model *model, const four_ba
     const float t141 = t138 / t140;
     const float t142 = t135 * t141;
     const float t143 = t120 + t142;
-    /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j), Eq. (2) */
+    /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j) */
     lam[0] = (-t143);
     lam[1] = (-t141);
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
@@ -1252,7 +1252,7 @@ static FOUR_BAR_F32_ALWAYS_INLINE void four_bar_f32_eval_closure(const four_bar_
     const float t24 = t19 - t23;
     const float t25 = t14 + model->L_0;
     const float t26 = t4 - t25;
-    /* closure = chi, and chi' of holonomic rows, Eq. (2) */
+    /* closure = chi, and chi' of holonomic rows */
     closure[0] = t26;
     closure[1] = t12;
     closure[2] = t22;

@@ -101,31 +101,31 @@ int four_bar_f32_prepare(const four_bar_f32_params *params, four_bar_f32_model *
    finite). */
 int four_bar_f32_psi(const four_bar_f32_model *model, const four_bar_f32_input *in, float *psi);
 
-/* S = psi_u Q^-1 G, Eq. (8), [1*1].
+/* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T, [1*1].
    Cost: 65 operations (39 mul, 10 add, 7 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
    finite), SINGULAR_MASS (as above). */
 int four_bar_f32_S(const four_bar_f32_model *model, const four_bar_f32_input *in, float *S);
 
-/* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9), [1*1].
+/* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi, [1*1].
    Cost: 122 operations (74 mul, 24 add, 15 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
    finite), SINGULAR_MASS (as above). */
 int four_bar_f32_z(const four_bar_f32_model *model, const four_bar_f32_input *in, float *z);
 
-/* S = psi_u Q^-1 G, Eq. (8), [1*1]; z = -psi_u Q^-1 P - X + Theta psi, Eq. (9), [1*1].
-   Cost: 122 operations (74 mul, 24 add, 15 sub, 3 cos, 3 div, 3 sin).
+/* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T, [1*1]; z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X +
+   Theta psi, [1*1]. Cost: 122 operations (74 mul, 24 add, 15 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
    finite), SINGULAR_MASS (as above). */
 int four_bar_f32_S_z(const four_bar_f32_model *model, const four_bar_f32_input *in, float *S, float *z);
 
-/* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j), Eq. (2), [2*1].
+/* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j), [2*1].
    Cost: 147 operations (89 mul, 28 add, 19 sub, 5 div, 3 cos, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
    finite), SINGULAR_MASS (as above). */
 int four_bar_f32_lam(const four_bar_f32_model *model, const four_bar_f32_input *in, float *lam);
 
-/* closure = chi, and chi' of holonomic rows, Eq. (2), [4*1].
+/* closure = chi, and chi' of holonomic rows, [4*1].
    Cost: 30 operations (13 mul, 7 add, 4 sub, 3 cos, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
    finite). */

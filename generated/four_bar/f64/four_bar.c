@@ -770,7 +770,7 @@ static void four_bar_eval_S(const four_bar_model *model, const four_bar_input *i
     const double t59 = t34 * t55;
     const double t60 = t58 + t59;
     const double t61 = t13 - t60;
-    /* S = psi_u Q^-1 G, Eq. (8) */
+    /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t61;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t12;
@@ -918,7 +918,7 @@ static void four_bar_eval_z(const four_bar_model *model, const four_bar_input *i
     const double t116 = in->speed_dot + t115;
     const double t117 = t109 + t116;
     const double t118 = t98 + t117;
-    /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
+    /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t15;
@@ -1067,9 +1067,9 @@ static void four_bar_eval_S_z(const four_bar_model *model, const four_bar_input 
     const double t116 = in->speed_dot + t115;
     const double t117 = t109 + t116;
     const double t118 = t98 + t117;
-    /* S = psi_u Q^-1 G, Eq. (8) */
+    /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t68;
-    /* z = -psi_u Q^-1 P - X + Theta psi, Eq. (9) */
+    /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
     mass_pivot[0] = t15;
@@ -1244,7 +1244,7 @@ static void four_bar_eval_lam(const four_bar_model *model, const four_bar_input 
     const double t141 = t138 / t140;
     const double t142 = t135 * t141;
     const double t143 = t120 + t142;
-    /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j), Eq. (2) */
+    /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j) */
     lam[0] = (-t143);
     lam[1] = (-t141);
     /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
@@ -1287,7 +1287,7 @@ static FOUR_BAR_ALWAYS_INLINE void four_bar_eval_closure(const four_bar_model *m
     const double t24 = t19 - t23;
     const double t25 = t14 + model->L_0;
     const double t26 = t4 - t25;
-    /* closure = chi, and chi' of holonomic rows, Eq. (2) */
+    /* closure = chi, and chi' of holonomic rows */
     closure[0] = t26;
     closure[1] = t12;
     closure[2] = t22;
