@@ -46,26 +46,26 @@ def within_limits(scene: Scene, law: Law, extra: Sequence[Quantity]) -> Law:
     assert isinstance(first, Evaluate)
     last: Any = behind[-1]
     free = "" if scene.y is None else f"{STATE}y" if isinstance(scene.y, str) else "y"
-    named = {
-        name: f"{STATE}{INPUTS[name]}" if isinstance(side, str) else name for name, side in sides.each()
-    }
-    open_sides = {f"no_{name}": side.open for name, side in sides.each() if isinstance(side, Side)}
+    lower, upper = (STATE + INPUTS[name] if isinstance(side, str) else name for name, side in sides.each())
+    no_lower, no_upper = (() if isinstance(side, str) else side.open for _, side in sides.each())
     limit = Limit(
         last.into,
         SYSTEM,
         start="start",
         matrix=scene.system.matrix,
         right=scene.system.right,
+        lower=lower,
+        upper=upper,
         free=free,
         slowed="z_1" if any(q.name == "z_1" for q in extra) else "",
         metric="metric" if any(q.name == "metric" for q in extra) else "",
-        **named,
-        **open_sides,
+        no_lower=no_lower,
+        no_upper=no_upper,
     )
     needed = (limit.matrix, *(q.name for q in extra))
     evaluate = Evaluate((*first.into, *(name for name in needed if name not in first.into)))
     steps = (evaluate, *behind[:-1], replace(last, into="start"), limit)
-    read = [name.removeprefix(STATE) for name in (free, *named.values()) if name.startswith(STATE)]
+    read = [name.removeprefix(STATE) for name in (free, lower, upper) if name.startswith(STATE)]
     known = {name for name, _ in law.inputs}
     inputs = tuple((name, (scene.controls, 1)) for name in read if name not in known)
     routines = tuple(replace(r, steps=steps) if r is routine else r for r in law.routines)

@@ -213,7 +213,10 @@ def scene_hash(scene: Scene, program: Program) -> str:
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
     if scene.sides is not None:
-        text += [scene.sides.policy, *(repr(side if isinstance(side, str) else side.open) for _, side in scene.sides.each())]
+        text += [
+            scene.sides.policy,
+            *(repr(side if isinstance(side, str) else side.open) for _, side in scene.sides.each()),
+        ]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
 

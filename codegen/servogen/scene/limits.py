@@ -19,11 +19,12 @@ class Limits:
     """lower <= tau <= upper, never a bit beyond.
 
     lower, upper: a number for all controls, or one entry per control: numbers, SX of parameters, references and the
-        state (a torque-speed curve); -inf and inf: none. "input": the inputs tau_min and tau_max, in the controls' units.
-    policy: what happens where the answer without limits is not admissible. "least_squares": of all admissible tau those
-        that minimise |S tau - z|, of these the one nearest to y in the weight. "keep_direction": the error dynamics slow
-        down, S tau = z_0 + s z_1 with z_1 the Theta terms of z and the largest s from 0 to 1 that is admissible; where
-        none is, least squares at s = 0.
+        state (a torque-speed curve); -inf and inf: none. "input": the inputs tau_min and tau_max, in the units of tau.
+    policy: what happens where the answer without limits is not admissible. "least_squares": of all admissible tau
+        those that minimise |S tau - z|, of these the one nearest to y in the weight. "keep_direction": the error
+        dynamics slow down, S tau = z_0 + s z_1 with z_1 the Theta terms of z and the largest s from 0 to 1 that is
+        admissible; where none is, least squares at s = 0.
+    Raises SceneError for another policy; sg.Scene does for limits that do not fit it.
     """
 
     lower: Any
@@ -78,6 +79,8 @@ def _side(value: Any, side: str, controls: int) -> Side | str:
         if value != "input":
             raise SceneError(f"{what} is {value!r}; give numbers, SX, or 'input' for the input {INPUTS[side]}")
         return value
+    if value is None:
+        raise SceneError(f"{what} is None; give numbers, SX, 'input', or {none} for no limit")
     entries = _entries(value, what)
     if len(entries) == 1:
         entries = entries * controls
@@ -103,4 +106,6 @@ def _entries(value: Any, what: str) -> list[Any]:
         numbers = np.asarray(value.full() if isinstance(value, ca.DM) else value, dtype=float)
     except (TypeError, ValueError, RuntimeError):
         return cast(list[Any], column(to_sx(value, what), what).nonzeros())  # which tells what is wrong with it
+    if numbers.ndim > 1 and 1 not in numbers.shape:
+        raise SceneError(f"{what} has shape {'x'.join(map(str, numbers.shape))}; give a list, one number per control")
     return [ca.SX(float(x)) for x in numbers.ravel()]

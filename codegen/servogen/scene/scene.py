@@ -153,9 +153,12 @@ class Scene:
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
         if self.sides is not None:
-            named = [INPUTS[side] for side, given in self.sides.each() if isinstance(given, str)]
-            fields += [_state_field(name, ca.SX.sym(name, self.controls)) for name in named]
+            sides = [side for side, given in self.sides.each() if isinstance(given, str)]
+            fields += [self._limit_field(INPUTS[side], f"{side} limits of tau, an infinity for none") for side in sides]
         return (*fields, *self.references)
+
+    def _limit_field(self, name: str, text: str) -> Field:
+        return Field(name, ca.SX.sym(name, self.controls), (0.0,) * self.controls, "", text)
 
     @property
     def sides(self) -> Sides | None:
@@ -225,8 +228,8 @@ def _check_limits(scene: Scene) -> None:
     if scene.kind != "servo":
         unknown = "tau', the rate of the controls" if scene.kind == "controls" else "forces of an ideal constraint"
         raise SceneError(
-            f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: leave out "
-            "limits"
+            f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
+            "leave out limits"
         )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():

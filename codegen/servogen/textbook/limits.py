@@ -69,7 +69,13 @@ def solve_within(
 
 
 def _part(
-    S: FloatArray, z: FloatArray, slowed: FloatArray, y: FloatArray, lower: FloatArray, upper: FloatArray, policy: Policy
+    S: FloatArray,
+    z: FloatArray,
+    slowed: FloatArray,
+    y: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    policy: Policy,
 ) -> float:
     """The largest s in [0, 1] for which S tau = z - (1 - s) slowed has an admissible tau, by bisection; 0 for none.
 
@@ -108,8 +114,8 @@ def _nearest(
 ) -> FloatArray:
     """The one nearest to y of those with the same S tau: tau + N t with rows G t >= h, by least distance programming.
 
-    N spans the kernel of S with T N orthonormal, so that min |T (N t - d)| is min |t - (T N)^T T d|; with t that plus v,
-    min |v| subject to G v >= h - G times that.
+    N spans the kernel of S with T N orthonormal, so that min |T (N t - d)| is min |t - (T N)^T T d|; with t that plus
+    v, min |v| subject to G v >= h - G times that.
     """
     wide = lower < upper
     N = _kernel(S[:, wide])

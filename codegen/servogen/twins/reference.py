@@ -254,7 +254,10 @@ class ReferenceTwin(Twin):
             own[list(side.open)] = -np.inf if name == "lower" else np.inf
             limits.append(own)
         slowed = given["prescribed"].ravel() if sides.policy == "keep_direction" else None
-        return solve_within(S, z, y, *limits, self._policy, last, metric=self._metric(given), slowed=slowed, start=start)
+        metric = self._metric(given)
+        return solve_within(
+            S, z, y, limits[0], limits[1], self._policy, last, metric=metric, slowed=slowed, start=start
+        )
 
     def _metric(self, given: dict[str, FloatArray]) -> FloatArray | None:
         """T with T^T T = W, where there is a weight."""

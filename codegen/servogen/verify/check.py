@@ -11,7 +11,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Limit, Project, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Evaluate, Limit, Project, Solve
 from servogen.package import Package
 from servogen.results import OF_LIMITS, FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
@@ -390,7 +390,7 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
     """What the steps of control behind the solve make of its answer, a matrix, by the scalar's own quantities."""
     steps = case.truth.law.routine("control").steps
     solve = _solve_of(case)
-    behind = [step for step in steps[steps.index(solve) + 1 :] if not isinstance(step, Limit)]
+    behind = [step for step in steps[steps.index(solve) + 1 :] if not isinstance(step, Limit | Evaluate)]
     if not behind:
         return None
     values = {name: [mp.mpf(float(x)) for x in v] for name, v in case.truth.points[k].rounded.items()}

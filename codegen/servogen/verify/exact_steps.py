@@ -83,15 +83,17 @@ def admissible(
 ) -> Optimum:
     """The best tau within limits of a system of machine numbers, without rounding; see law.steps.Limit.
 
-    Slowing is one more unknown from 0 to 1, and its square weighs more than all the rest of the distance by so much that
-    more than 50 digits are right. rest is what the rows miss of what was asked for, slowed down.
+    Slowing is one more unknown from 0 to 1, and its square weighs more than all the rest of the distance by so much
+    that more than 50 digits are right. rest is what the rows miss of what was asked for, slowed down.
     """
     l = len(y)
-    sides = [[None if np.isinf(v) else exact.rational(np.array([v]))[0, 0] for v in side] for side in (lower, upper)]
+    low, high = (
+        [None if np.isinf(v) else exact.rational(np.array([v]))[0, 0] for v in side] for side in (lower, upper)
+    )
     S_exact, z_exact, y_exact = (exact.rational(a) for a in (S, z, y))
     T = None if metric is None else exact.rational(metric)
     if slowed is None:
-        return best_within(S_exact, z_exact, y_exact, *sides, T)
+        return best_within(S_exact, z_exact, y_exact, low, high, T)
     slow = exact.rational(slowed)
     wider = exact.rational(np.hstack([S, slowed[:, None]]))
     wish = flint.fmpq_mat(l + 1, 1, [*(y_exact[j, 0] for j in range(l)), 0])
@@ -100,10 +102,9 @@ def admissible(
         for j in range(l):
             weights[i, j] = flint.fmpq(int(i == j)) if T is None else T[i, j]
     weights[l, l] = _FIRST
-    limits = [[*sides[0], flint.fmpq(0)], [*sides[1], flint.fmpq(1)]]
-    best = best_within(wider, z_exact, wish, *limits, weights)
+    best = best_within(wider, z_exact, wish, [*low, flint.fmpq(0)], [*high, flint.fmpq(1)], weights)
     if not best.met:
-        return best_within(S_exact, z_exact - slow, y_exact, *sides, T)
+        return best_within(S_exact, z_exact - slow, y_exact, low, high, T)
     x = flint.fmpq_mat(l, 1, [best.x[j, 0] for j in range(l)])
     return Optimum(x, best.rest, S_exact.transpose() * best.rest, best.place[:l])
 
