@@ -11,6 +11,7 @@ from servogen.package import Package
 from servogen.remarks import Remark
 from servogen.results import Batch, Control, Info, Path, Status
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
+from servogen.scene.limits import Limits
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.passive import PassiveHolonomic, PassiveNonholonomic
 from servogen.scene.scene import Scene
@@ -29,6 +30,7 @@ __all__ = [
     "ControlsInvolved",
     "Holonomic",
     "Info",
+    "Limits",
     "Mechanism",
     "Nonholonomic",
     "Package",

@@ -127,6 +127,8 @@ class Batch:
     sweeps: IntArray
     sigma_min: FloatArray
     residual: FloatArray
+    scale: FloatArray
+    active: IntArray
 
     def __len__(self) -> int:
         return len(self.status)
@@ -135,7 +137,8 @@ class Batch:
         """State k alone."""
         status, path = Status(int(self.status[k])), Path(int(self.path[k]))
         integers = int(self.rank[k]), int(self.sweeps[k])
-        return Control(self.value[k], Info(status, path, *integers, float(self.sigma_min[k]), float(self.residual[k])))
+        numbers = float(self.sigma_min[k]), float(self.residual[k]), float(self.scale[k])
+        return Control(self.value[k], Info(status, path, *integers, *numbers, int(self.active[k])))
 
     def __repr__(self) -> str:
         """How often each status."""

@@ -265,6 +265,15 @@ def test_crossed_limits_and_nan_leave_tau_alone(solvers) -> None:
         sg.build_solver(2, 3, solver=sg.Solver(damping=0.1), limits=True)
 
 
+@pytest.mark.parametrize("m", [1, 2])
+def test_a_row_within_its_tolerance_asks_for_nothing(m: int) -> None:
+    solve = sg.build_solver(m, 3, solver=sg.Solver(atol=1e-6), limits=True).load().solve
+    S = np.array([[0, 1e-9, 0], [1, 0, 0]][:m], dtype=float)
+    tau, info = solve(S, [1.0, 2.0][:m], [0.0, 0.0, 5.0], lower=-1, upper=1)
+    assert np.array_equal(tau, [0, 0, 1] if m == 1 else [1, 0, 1])
+    assert info.status == (sg.Status.RANK_DEFICIENT_INCONSISTENT if m == 1 else sg.Status.LIMITED_INCONSISTENT)
+
+
 @pytest.mark.parametrize(("scalar", "huge"), [("float64", 1e300), ("float32", 1e37)])
 def test_numbers_near_the_ends_of_the_range(scalar: str, huge: float, solvers) -> None:
     """Powers of two change no bit; an answer that would overflow without limits is found within them."""

@@ -7,6 +7,7 @@ import casadi as ca
 from servogen.derive.answer import controlling
 from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import Formulation, MassFindings, Quantity, Weight
+from servogen.derive.limiting import limit_quantities, within_limits
 from servogen.derive.passive import passive_quantities, respond
 from servogen.derive.weight import weigh
 from servogen.scene.constraints import ControlsInvolved, Holonomic
@@ -36,14 +37,16 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     else:
         z = prescribed - X - ca.mtimes(W, force) - shift
     words, passive = _words(scene), passive_quantities(samples, found)
+    limits = limit_quantities(scene, prescribed, weight)
     quantities = [
         Quantity("psi", psi, *words["psi"]),
         Quantity("S", S, *words["S"], needs_mass=True),
         Quantity("z", z, *words["z"], needs_mass=True),
         *free_quantities(scene, S, "S", "Eq. (10)", weight, weighted),
+        *limits,
     ]
     entries = (("psi",), ("S",), ("z",), ("S", "z"), *((q.name,) for q in passive))
-    law = controlling(scene, [*quantities, *passive], weight, entries)
+    law = within_limits(scene, controlling(scene, [*quantities, *passive], weight, entries), limits)
     return Formulation(scene, (*quantities, *passive), mass, law, weight)
 
 

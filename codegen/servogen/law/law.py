@@ -272,8 +272,8 @@ def _text(name: str, value: Any) -> str:
         return ";".join(",".join(f"{e}:{j}" for e, j in row) for row in value)
     if name == "places":
         return ";".join(":".join(str(x) for x in place) for place in value)
-    if name == "moved":
-        return ":".join(value)
+    if name in ("moved", "no_lower", "no_upper"):
+        return ":".join(str(x) for x in value)
     return str(value)
 
 
@@ -288,6 +288,8 @@ def _value(name: str, text: str) -> Any:
         return tuple(tuple(int(x) for x in place.split(":")) for place in text.split(";"))
     if name == "moved":
         return tuple(text.split(":"))
+    if name in ("no_lower", "no_upper"):
+        return tuple(int(x) for x in text.split(":"))
     return int(text) if name == "cap" else text
 
 

@@ -83,7 +83,8 @@ class Limit:
     these answers the one nearest to free (zero where it is ""), in the metric L^T `metric` where that is named.
 
     start: the answer without limits of a solver's system. slowed: "" or the name of what right may be reduced by,
-    right - (1 - s) slowed with the largest s from 0 to 1 that can be met.
+    right - (1 - s) slowed with the largest s from 0 to 1 that can be met. no_lower, no_upper: entries of these two that
+    stand for no limit.
     """
 
     into: str
@@ -96,6 +97,8 @@ class Limit:
     free: str = ""
     slowed: str = ""
     metric: str = ""
+    no_lower: tuple[int, ...] = ()
+    no_upper: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,7 @@ def _limited(step: Limit, shapes: Mapping[str, Shape]) -> Shape:
         _fits(shapes[name] == (l, 1), f"{step.matrix} of {m} x {l} and {name}")
     if step.slowed:
         _fits(shapes[step.slowed] == (m, 1), f"{step.matrix} of {m} x {l} and {step.slowed}")
+    _fits(all(0 <= j < l for j in (*step.no_lower, *step.no_upper)), f"an open limit beyond the {l} controls")
     if step.metric:
         _fits(shapes[step.metric] == (l, l), f"{step.matrix} of {m} x {l} and the metric {step.metric}")
     return l, 1
@@ -288,7 +292,7 @@ STEPS: dict[type, Row] = {
     ),
     Limit: Row(
         "limit",
-        ("limiting",),
+        ("limiting", "behind"),
         lambda step: (
             *(step.start, step.matrix, step.right, step.lower, step.upper),
             *(name for name in (step.free, step.slowed, step.metric) if name),
@@ -298,7 +302,7 @@ STEPS: dict[type, Row] = {
             *(Status.LIMITED, Status.LIMITED_INCONSISTENT, Status.RANK_DEFICIENT_INCONSISTENT),
             *(Status.LIMITS_CROSSED, Status.NOT_CONVERGED, Status.OVERFLOW),
         ),
-        True,
+        False,  # an infinite limit that was computed would pass for none
     ),
     Invert: Row(
         "invert",

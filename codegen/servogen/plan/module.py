@@ -10,7 +10,7 @@ from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.ir.telling import told_inputs, watched_outputs
 from servogen.law.law import Law
-from servogen.law.steps import SYSTEM, Apply, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Limit, Solve
 from servogen.plan.bounds import BoundPlan
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
@@ -194,11 +194,17 @@ class Module:
         code = [(self.prepare.program, self.prepare.pairs), *((k.program, k.pairs) for k in self.kernels)]
         return own_functions(code, self.target.math, self.solver is not None)
 
+    @property
+    def looked_at(self) -> tuple[StructField, ...]:
+        """The inputs that must be finite: all but limits, whose infinities mean none."""
+        limits = {name for s in self.law.steps() if isinstance(s, Limit) for name in (s.lower, s.upper)}
+        return tuple(f for f in self.inputs if STATE + f.name not in limits)
+
     def silent(self, kernel: Kernel) -> tuple[tuple[StructField, int, int], ...]:
         """(input, first, count) of every run of elements that may be NaN or infinite without a result being so."""
         told = told_inputs(kernel.handed_out())
         runs = []
-        for f in self.inputs:
+        for f in self.looked_at:
             silent = [(f.name, k) not in told for k in range(f.size)]
             for quiet, places in groupby(range(f.size), silent.__getitem__):
                 run = list(places)

@@ -110,10 +110,12 @@ def _plan_known_matrix(
 
 
 def _at_hand(law: Law, matrix: str) -> Law:
-    """The law with the pseudo-inverse of that matrix at hand: nothing evaluates it, and solves apply it."""
+    """The law with the pseudo-inverse of that matrix at hand: solves apply it, and nothing but limits evaluates it."""
+
+    limited = any(isinstance(step, Limit) and step.matrix == matrix for step in law.steps())
 
     def staged(step: Step) -> Step:
-        if isinstance(step, Evaluate):
+        if isinstance(step, Evaluate) and not limited:
             return Evaluate(tuple(name for name in step.into if name != matrix))
         if isinstance(step, Solve) and step.matrix == matrix:
             return Apply(step.into, step.solver, step.matrix, step.right, step.free)
@@ -210,6 +212,11 @@ def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
+    if scene.sides is not None:
+        text += [
+            scene.sides.policy,
+            *(repr(side if isinstance(side, str) else side.open) for _, side in scene.sides.each()),
+        ]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
 

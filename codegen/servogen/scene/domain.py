@@ -15,7 +15,7 @@ _ROUNDS = 50
 """Times that as many states as asked for are drawn, until as many satisfy the passive constraints."""
 
 # Where the user states no range: an angle's period, and magnitudes of one.
-_DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0)}
+_DEFAULT_RANGE = {"q": (-math.pi, math.pi), "t": (0.0, 10.0), "tau_min": (-1.0, 0.0), "tau_max": (0.0, 1.0)}
 
 
 def draw_states(scene: Scene, count: int, seed: int = 0) -> State:

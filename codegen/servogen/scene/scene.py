@@ -19,6 +19,7 @@ from servogen.scene.constraints import (
     theta_parts,
 )
 from servogen.scene.convert import column, matrix
+from servogen.scene.limits import INPUTS, Limits, Side, Sides, read_limits
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.names import check_identifier
 from servogen.scene.passive import PassiveHolonomic, passive_name
@@ -40,6 +41,7 @@ class Scene:
         (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity;
         "inverse_mass": W = Q^-1, at little cost, for Q is factorised anyway.
     mode: "servo" (Eq. 10), or "ideal": G tau = R, the forces of an ideal passive constraint (Eqs. 13-17).
+    limits: sg.Limits(lower, upper) on tau, for servo scenes; None: none.
     domain: ranges {"q": (lo, hi), ...} or a callable taking a numpy Generator and returning one state;
         every check draws its states from it.
     """
@@ -54,6 +56,7 @@ class Scene:
     mode: Literal["servo", "ideal"] = "servo"
     domain: Domain | None = None
     solver: Solver = field(default_factory=Solver)
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "scene")
@@ -86,6 +89,8 @@ class Scene:
         if not isinstance(self.solver, Solver):
             raise SceneError(f"scene {self.name!r}: solver is {type(self.solver).__name__}; give an sg.Solver(...)")
         _check_kinds(self)
+        if self.limits is not None:
+            _check_limits(self)
         _check_names(self)
         _check_symbols(self)
         _check_operations(self)
@@ -147,7 +152,18 @@ class Scene:
             fields.append(_state_field("tau", mech.tau))
         if isinstance(self.y, str):
             fields.append(_state_field("y", self.y_symbol))
+        if self.sides is not None:
+            sides = [side for side, given in self.sides.each() if isinstance(given, str)]
+            fields += [self._limit_field(INPUTS[side], f"{side} limits of tau, an infinity for none") for side in sides]
         return (*fields, *self.references)
+
+    def _limit_field(self, name: str, text: str) -> Field:
+        return Field(name, ca.SX.sym(name, self.controls), (0.0,) * self.controls, "", text)
+
+    @property
+    def sides(self) -> Sides | None:
+        """The limits as they were read; None where there are none."""
+        return self.__dict__.get("_sides")
 
     @property
     def tau_is_input(self) -> bool:
@@ -190,6 +206,8 @@ def expressions(scene: Scene) -> dict[str, Any]:
         parts["y"] = scene.y
     if isinstance(scene.weight, ca.SX):
         parts["weight"] = scene.weight
+    if scene.sides is not None:
+        parts |= {f"limits: {name}": side.expression for name, side in scene.sides.each() if isinstance(side, Side)}
     return parts
 
 
@@ -202,6 +220,32 @@ def _check_inverse_mass(scene: Scene) -> None:
             f"weight='inverse_mass' is {n}x{n}, as Q is, but there are {scene.controls} controls; it is for mechanisms "
             "with one control per velocity parameter: give a weight of your own, one row and column per control"
         )
+
+
+def _check_limits(scene: Scene) -> None:
+    """Read them. SceneError where they make no sense, or for a kind of scene that takes none."""
+    if scene.kind != "servo":
+        unknown = "tau', the rate of the controls" if scene.kind == "controls" else "forces of an ideal constraint"
+        raise SceneError(
+            f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
+            "leave out limits"
+        )
+    sides = read_limits(scene.limits, scene.controls)
+    for name, side in sides.each():
+        if isinstance(side, Side) and ca.depends_on(side.expression, scene.mechanism.tau):
+            raise SceneError(f"limits: {name} depends on tau, which the scene solves for; make it of the inputs")
+        taken = {f.name for f in (*scene.parameters, *scene.references)}
+        if isinstance(side, str) and INPUTS[name] in taken:
+            raise SceneError(
+                f"limits: {name}='input' brings the input {INPUTS[name]}, but a parameter or reference has that name; "
+                f"rename it, or give limits={name} as SX of it"
+            )
+    if scene.solver.damping is not None:
+        raise SceneError(
+            f"Solver(damping={scene.solver.damping!r}) and limits: a damped answer is no least-squares optimum, so "
+            "nothing could be certified; leave out damping (limits bound tau near a singularity, too), or the limits"
+        )
+    object.__setattr__(scene, "_sides", sides)
 
 
 def _check_mode(scene: Scene) -> None:

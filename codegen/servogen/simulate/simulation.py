@@ -11,6 +11,7 @@ from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
+from servogen.scene.limits import INPUTS
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.polylines import polylines
 from servogen.scene.scene import Scene
@@ -265,6 +266,9 @@ def start_values(
     values |= _resting_references(scene, simulation)
     values |= checked(start or {}, takes["start"], "start")
     values |= checked(references or {}, takes["references"], "references")
+    for name in (f.name for f in scene.input_fields() if f.name in INPUTS.values()):
+        if name not in simulation.start and name not in (start or {}):
+            raise SceneError(f"simulation: start has no {name}, the limits of tau; give a number for each control")
     return values
 
 

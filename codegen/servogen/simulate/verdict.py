@@ -185,9 +185,11 @@ def _limited(run: "Trajectory", first: int, off: "_Off") -> _Told:
     names = ", ".join(f"tau[{k}]" for k in range(run.tau.shape[1]) if masks >> k & 1)
     largest = int(np.argmax(np.max(np.abs(run.tau), axis=0)))
     count = np.count_nonzero(run.limited)
+    own = np.any(np.isin(run.status, (Status.LIMITED, Status.LIMITED_INCONSISTENT)))
+    who = "the scene's limits" if own else "actuators"
     told = (
-        f"actuators held {names} back at a limit or a rate; so at {count:,} of {len(run.t):,} rows (largest "
-        f"control {_number(np.max(np.abs(run.tau)), run.claim.tau_units[largest])})"
+        f"{who} held {names} back{'' if own else ' at a limit or a rate'}; so at {count:,} of {len(run.t):,} rows "
+        f"(largest control {_number(np.max(np.abs(run.tau)), run.claim.tau_units[largest])})"
     )
     advice = "Ask for less: slower errors (Theta), slower references, a nearer start; or give the actuators more."
     return _Told(told, advice)
@@ -281,6 +283,7 @@ def _advice_of(status: Status) -> str:
         Status.NONFINITE: "Look for a division by zero or a root of a negative number in the model at that state.",
         Status.SINGULAR_MASS: "Give parameters of a body that has mass, or keep away from where Q is singular.",
         Status.NOT_CONVERGED: "Scale the constraints and controls to like sizes; tell us of it with the state.",
+        Status.LIMITS_CROSSED: "Give limits that leave a number between lower and upper at that state.",
         Status.OVERFLOW: "Something grew without bound: look at what grows before the end, and try a shorter step.",
     }[status]
 

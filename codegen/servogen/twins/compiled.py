@@ -3,6 +3,7 @@
 import ctypes as ct
 import struct
 import tempfile
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from servogen.law.law import shapes
 from servogen.plan.module import Module, Result, StructField
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
+from servogen.scene.limits import INPUTS
 from servogen.scene.scene import Scene
 from servogen.scene.system import Function
 from servogen.tools import c_compiler, compile_c
@@ -164,11 +166,19 @@ def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatA
     return struct
 
 
+_NEVER_LEFT_OUT = ("q", "u", *INPUTS.values())
+"""Inputs for which no default would make sense."""
+
 _STATUS, _PATH = {int(s): s for s in Status}, {int(p): p for p in Path}
 
 
 def _read_info(info: Any) -> Info:
     return Info(_STATUS[info.status], _PATH[info.path], info.rank, info.sweeps, info.sigma_min, info.residual)
+
+
+def _read_limited(info: Any) -> Info:
+    """The same of a package with limits."""
+    return replace(_read_info(info), scale=info.scale, active=info.active)
 
 
 class CompiledTwin(Twin):
@@ -180,6 +190,7 @@ class CompiledTwin(Twin):
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
         self._info_type = _info_struct(module)
+        self._read_info = _read_info if module.limits is None else _read_limited
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
@@ -211,7 +222,7 @@ class CompiledTwin(Twin):
         numbers: list[float] = []
         used = 0
         for f in self._module.inputs:
-            value: Any = given.get(f.name, None if f.name in ("q", "u") else f.default)
+            value: Any = given.get(f.name, None if f.name in _NEVER_LEFT_OUT else f.default)
             used += f.name in given
             kind = type(value)
             if kind is float and f.size == 1:
@@ -273,7 +284,7 @@ class CompiledTwin(Twin):
         info = self._info_type()
         before: list[Any] = [ct.byref(self._model), inputs, *(c_real(self.scalar)(number) for number in numbers)]
         self._function(entry)(*before, ct.byref(value), ct.byref(info))
-        return Control(np.frombuffer(value, self.dtype), _read_info(info))
+        return Control(np.frombuffer(value, self.dtype), self._read_info(info))
 
     def _control_batch(
         self, entry: str, states: States, value: FloatArray, threads: int | None, *numbers: float
@@ -282,7 +293,10 @@ class CompiledTwin(Twin):
         status = run(self._call(entry, *numbers), states, value, info, threads)
         info["status"] = status  # prepare's, where it refused a state's parameters
         info[status < 0] = _refused(info.dtype, status[status < 0])
-        return Batch(value, *(np.ascontiguousarray(info[n]) for n in (*INFO_INTEGERS, *INFO_REALS)))
+        members = {n: np.ascontiguousarray(info[n]) for n in info.dtype.names or ()}
+        if "scale" not in members:
+            members |= {"scale": np.ones(states.count, self.dtype), "active": np.zeros(states.count, np.int32)}
+        return Batch(value, **members)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
         values = np.full((states.count, *self.scene.shape_of(offered)), np.nan, self.dtype)

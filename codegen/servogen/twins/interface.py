@@ -13,6 +13,7 @@ from servogen.errors import SceneError
 from servogen.results import STATUS_MEANING, Batch, Control, FloatArray, Info, Path, Status
 from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
+from servogen.scene.limits import INPUTS
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
 from servogen.scene.system import PASSIVE, SYSTEMS, Function
@@ -180,9 +181,11 @@ class Twin(ABC):
             )
 
     def _needed(self, function: str) -> tuple[str, ...]:
-        """Those of q and u without which a function has no meaning."""
+        """Those of q and u without which a function has no meaning, and limits that are inputs."""
         offered = self.scene.system.function(function)
-        return self._states["constraints" if offered is not None and offered.of_constraints else "scene"]
+        states = self._states["constraints" if offered is not None and offered.of_constraints else "scene"]
+        limits = tuple(n for n in INPUTS.values() if function == "control" and n in self._fields)
+        return states + limits
 
     @cached_property
     def _states(self) -> dict[str, tuple[str, ...]]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.limits import INPUTS, Side
 from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import EXAMINED, draw_samples
 from servogen.scene.scene import Scene
@@ -22,6 +24,7 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
 from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
+from servogen.textbook.limits import solve_within
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
 from servogen.twins.interface import Twin, finite, refusal
@@ -242,7 +245,45 @@ class ReferenceTwin(Twin):
                 tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
         if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
             return Control(last, refusal(Status.OVERFLOW))
+        if self.scene.sides is not None and info.status >= 0:
+            tau, info = self._within(S, result[right].ravel(), y, (np.asarray(tau), info), inputs, last)
         return Control(np.asarray(tau).astype(self.dtype), info)
+
+    def _within(
+        self,
+        S: FloatArray,
+        z: FloatArray,
+        y: FloatArray,
+        start: tuple[FloatArray, Info],
+        inputs: dict[str, FloatArray],
+        last: FloatArray,
+    ) -> tuple[FloatArray, Info]:
+        """The answer within limits; start: that without."""
+        sides, given = self.scene.sides, self.parts(inputs)
+        assert sides is not None
+        limits = []
+        for name, side in sides.each():
+            if isinstance(side, str):
+                limits.append(self._round(inputs[INPUTS[name]]).ravel())
+                continue
+            own = self._round(given[name]).ravel()
+            if not np.all(np.isfinite(own)):
+                return last, refusal(Status.OVERFLOW)
+            own[list(side.open)] = -np.inf if name == "lower" else np.inf
+            limits.append(own)
+        slowed = given["prescribed"].ravel() if sides.policy == "keep_direction" else None
+        metric = self._metric(given)
+        return solve_within(
+            S, z, y, limits[0], limits[1], self._policy, last, metric=metric, slowed=slowed, start=start
+        )
+
+    def _metric(self, given: dict[str, FloatArray]) -> FloatArray | None:
+        """T with T^T T = W, where there is a weight."""
+        if "weight" not in given:
+            return None
+        root = _root(given["weight"])
+        metric: FloatArray = np.linalg.inv(root) if self.scene.weighs_by_inverse_mass else root.T
+        return metric
 
     def _each(self, states: States) -> Iterator[tuple[int, Status, dict[str, FloatArray]]]:
         """One state after the other, with what prepare says of its parameters; then those of before hold again."""
@@ -265,6 +306,7 @@ class ReferenceTwin(Twin):
             value[k] = answer.value
             infos.append(answer.info)
         types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
+        types |= {"scale": self.dtype, "active": np.dtype(np.int32)}
         columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
         return Batch(value, *columns)
 
@@ -500,7 +542,7 @@ def _weight(given: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _with_status(info: Info, status: Status) -> Info:
-    return Info(status, info.path, info.rank, info.sweeps, info.sigma_min, info.residual)
+    return replace(info, status=status)
 
 
 def _ill_conditioned(Q: FloatArray, epsilon: float) -> bool:
@@ -528,6 +570,8 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
     if mech.passive:
         parts |= _passive_parts(scene)
+    if scene.sides is not None:
+        parts |= {name: side.expression for name, side in scene.sides.each() if isinstance(side, Side)}
     everything = ca.vertcat(*(ca.vec(ca.densify(p)) for p in parts.values()))
     always = {"y", "tau"} if mech.passive else {"y"}  # the multipliers are of tau
     used = [f.name for f in fields if f.name in always or ca.depends_on(everything, f.symbol)]

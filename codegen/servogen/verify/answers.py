@@ -15,13 +15,13 @@ import numpy as np
 from servogen import exact
 from servogen.ir.evaluate import DIGITS
 from servogen.ir.numbers import as_fraction
-from servogen.law.steps import STATE, Advance, Apply, Multiply, React, Solve, Step
+from servogen.law.steps import STATE, Advance, Apply, Limit, Multiply, React, Solve, Step
 from servogen.results import FloatArray, Info, Status
 from servogen.singular import pseudo_solution
 from servogen.textbook import pseudo_inverse
 from servogen.textbook.policy import Policy
-from servogen.verify.exact_steps import sparse_product, transposed_product
-from servogen.verify.vectors import ANY_ANSWER, ANY_RANK
+from servogen.verify.exact_steps import admissible, sparse_product, transposed_product
+from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS
 
 BAR = 8.0
 """tau may err by BAR eps kappa(S) (|tau| + |y|) beyond what the errors of S and z cost."""
@@ -128,11 +128,58 @@ def _multiply(step: Multiply, at: Surroundings) -> Answer:
     return Answer(tau, tolerance + (len(step.pattern) + 1) * epsilon * size * reach, x.status, x.rank)
 
 
+def _limit(step: Limit, at: Surroundings) -> Answer:
+    """The start where that is admissible beyond doubt; else the exact optimum of the scalar's own system and limits.
+
+    Like the answer below full rank it is no smooth function of the system, so nothing but the search is judged by it.
+    """
+    start, solver, p = at.answers[step.start], at.policies[step.solver], at.point
+    l = solver.l
+    lower, upper = (np.array(_given(name, at), dtype=float) for name in (step.lower, step.upper))
+    lower[list(step.no_lower)], upper[list(step.no_upper)] = -np.inf, np.inf
+    own = np.array([float(v) for v in start.tau])
+    near = start.tolerance
+    if start.known and np.all((lower + near <= own) & (own <= upper - near)):
+        return start
+    if not np.all((lower <= upper) & (lower < np.inf) & (upper > -np.inf)):
+        return unknown(l, Status.LIMITS_CROSSED if start.known and not np.isnan(own).any() else ANY_STATUS, 0)
+    if not start.known or start.rank < min(solver.m, l):
+        return unknown(l, ANY_STATUS)
+    S, z = p.rounded[step.matrix].reshape(solver.m, l).astype(float), p.rounded[step.right].astype(float)
+    y = np.zeros(l) if not step.free else np.asarray(_given(step.free, at), dtype=float)
+    slowed = p.rounded[step.slowed].astype(float) if step.slowed else None
+    metric = p.rounded[step.metric].reshape(l, l).astype(float) if step.metric else None
+    best = admissible(S, z, y, lower, upper, slowed, metric)
+    tau, x = _values(best.x), exact.nearest(best.x)[:, 0]
+    rows = np.linalg.norm(S, axis=1)
+    free = (S / rows[:, None])[:, [place == 0 for place in best.place]]
+    sigma = np.linalg.svd(free, compute_uv=False) if free.size else np.ones(1)
+    kappa = float(sigma[0] / max(sigma[-1], solver.epsilon * sigma[0])) if sigma[0] > 0 else 1.0
+    if metric is not None:
+        kappa *= float(np.linalg.cond(metric))
+    missed = norm(exact.nearest(best.rest))
+    reach = norm(x) + norm(y) + float(np.max(np.abs(z) / rows)) + float(np.max(np.abs(own)))
+    tolerance = BAR * solver.epsilon * kappa * (reach + kappa * missed / float(np.min(rows)))
+    inside = np.all((lower <= own) & (own <= upper))
+    if inside or np.all((lower - near <= own) & (own <= upper + near)):
+        return Answer(tau, tolerance + near, ANY_ANSWER, start.rank)
+    size = norm(S) * (norm(x) + norm(y)) + norm(z)
+    clear = missed == 0.0 or missed > 1e3 * kappa * solver.epsilon * size
+    status = Status.LIMITED if missed == 0.0 else Status.LIMITED_INCONSISTENT
+    return Answer(tau, tolerance, status if clear and solver.m <= l else ANY_ANSWER, start.rank)
+
+
+def _given(name: str, at: Surroundings) -> Any:
+    """An input, or a quantity in the scalar's own arithmetic."""
+    return at.inputs[name.removeprefix(STATE)] if name.startswith(STATE) else at.point.rounded[name]
+
+
 ANSWERS: dict[type, Callable[[Any, Surroundings], Answer]] = {
     Solve: _solve,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
+    Limit: _limit,
 }
 """Steps that work on what an evaluation left; truth.py has those that evaluate, and calls."""
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Project, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Evaluate, Limit, Project, Solve
 from servogen.package import Package
-from servogen.results import FloatArray, Status
+from servogen.results import OF_LIMITS, FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
@@ -349,7 +349,7 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
         inputs = {name: values[k] for name, values in case.truth.inputs.items()}
         status, S, z = _system(case, twin, k, inputs)
         answer = twin.control(**inputs)
-        inexact = answer.info.status in (Status.REGULARISED, Status.RANK_DEFICIENT_INCONSISTENT)
+        inexact = answer.info.status in (Status.REGULARISED, Status.RANK_DEFICIENT_INCONSISTENT, *OF_LIMITS)
         if status < 0 or answer.info.status < 0 or answer.info.rank < min(S.shape) or inexact:
             continue
         y, behind = _free_vector(case, k), _behind(case, k)
@@ -390,7 +390,7 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
     """What the steps of control behind the solve make of its answer, a matrix, by the scalar's own quantities."""
     steps = case.truth.law.routine("control").steps
     solve = _solve_of(case)
-    behind = steps[steps.index(solve) + 1 :]
+    behind = [step for step in steps[steps.index(solve) + 1 :] if not isinstance(step, Limit | Evaluate)]
     if not behind:
         return None
     values = {name: [mp.mpf(float(x)) for x in v] for name, v in case.truth.points[k].rounded.items()}
@@ -399,7 +399,7 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
     for unit in np.eye(l):
         values[solve.into] = [mp.mpf(x) for x in unit]
         walk(behind, values)
-        columns.append(values[case.truth.law.routine("control").result])
+        columns.append(values[behind[-1].into])
     return rational([columns[j][i] for i in range(len(columns[0])) for j in range(l)], len(columns[0]), l)
 
 

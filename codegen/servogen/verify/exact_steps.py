@@ -3,10 +3,15 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import flint
 import mpmath as mp
+import numpy as np
 
+from servogen import exact
+from servogen.exact_bounds import Optimum, best_within
 from servogen.ir.evaluate import DIGITS
-from servogen.law.steps import Apply, Evaluate, Multiply, Pattern, React, Solve, Step
+from servogen.law.steps import Apply, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
+from servogen.results import FloatArray
 
 Values = dict[str, list[Any]]
 
@@ -63,11 +68,76 @@ def minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[
         return list(y + move)
 
 
+_FIRST = flint.fmpq(10) ** 60
+"""What one unit of slowing weighs beside one of the distance from y, where slowing comes first."""
+
+
+def admissible(
+    S: FloatArray,
+    z: FloatArray,
+    y: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    slowed: FloatArray | None = None,
+    metric: FloatArray | None = None,
+) -> Optimum:
+    """The best tau within limits of a system of machine numbers, without rounding; see law.steps.Limit.
+
+    Slowing is one more unknown from 0 to 1, and its square weighs more than all the rest of the distance by so much
+    that more than 50 digits are right. rest is what the rows miss of what was asked for, slowed down.
+    """
+    l = len(y)
+    low, high = (
+        [None if np.isinf(v) else exact.rational(np.array([v]))[0, 0] for v in side] for side in (lower, upper)
+    )
+    S_exact, z_exact, y_exact = (exact.rational(a) for a in (S, z, y))
+    T = None if metric is None else exact.rational(metric)
+    if slowed is None:
+        return best_within(S_exact, z_exact, y_exact, low, high, T)
+    slow = exact.rational(slowed)
+    wider = exact.rational(np.hstack([S, slowed[:, None]]))
+    wish = flint.fmpq_mat(l + 1, 1, [*(y_exact[j, 0] for j in range(l)), 0])
+    weights = flint.fmpq_mat(l + 1, l + 1)
+    for i in range(l):
+        for j in range(l):
+            weights[i, j] = flint.fmpq(int(i == j)) if T is None else T[i, j]
+    weights[l, l] = _FIRST
+    best = best_within(wider, z_exact, wish, [*low, flint.fmpq(0)], [*high, flint.fmpq(1)], weights)
+    if not best.met:
+        return best_within(S_exact, z_exact - slow, y_exact, low, high, T)
+    x = flint.fmpq_mat(l, 1, [best.x[j, 0] for j in range(l)])
+    return Optimum(x, best.rest, S_exact.transpose() * best.rest, best.place[:l])
+
+
+def _limit(step: Limit, values: Values) -> list[Any]:
+    """The start where it is admissible; else the optimum for the system and the limits rounded to double."""
+    start = values[step.start]
+    if not all(mp.isfinite(x) for x in start):
+        return start
+    l = len(start)
+    lower, upper = (np.array([float(x) for x in values[name]]) for name in (step.lower, step.upper))
+    lower[list(step.no_lower)], upper[list(step.no_upper)] = -np.inf, np.inf
+    if all(a <= x <= b for a, x, b in zip(lower, start, upper, strict=True)):
+        return start
+
+    def numbers(name: str, *shape: int) -> Any:
+        return np.array([float(x) for x in values[name]]).reshape(shape) if name else None
+
+    z = numbers(step.right, -1)
+    y = numbers(step.free, -1) if step.free in values else np.zeros(l)
+    best = admissible(
+        numbers(step.matrix, len(z), l), z, y, lower, upper, numbers(step.slowed, -1), numbers(step.metric, l, l)
+    )
+    with mp.workdps(DIGITS):
+        return [mp.mpf(int(best.x[j, 0].p)) / int(best.x[j, 0].q) for j in range(l)]
+
+
 EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {
     Solve: _solve,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
+    Limit: _limit,
 }
 """One function a step that works on what an evaluation left."""
 

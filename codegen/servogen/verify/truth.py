@@ -90,7 +90,7 @@ class Truth:
         self._answers: dict[str, list[Answer]] = {}
 
     def _inputs_finite(self, k: int) -> bool:
-        return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.inputs)
+        return all(np.all(np.isfinite(self.inputs[f.name][k])) for f in self.module.looked_at)
 
     def _points(self, inputs: dict[str, Any]) -> list[Point]:
         everything = inputs | self.parameters
