@@ -157,6 +157,13 @@ def _limit(step: Limit, at: Surroundings) -> Answer:
     kappa = float(sigma[0] / max(sigma[-1], solver.epsilon * sigma[0])) if sigma[0] > 0 else 1.0
     if metric is not None:
         kappa *= float(np.linalg.cond(metric))
+    noise = (S != 0) & (np.abs(S) <= BAR * solver.epsilon * rows[:, None])
+    if (
+        noise.any()
+    ):  # a control that only rounding connects goes to whichever limit its sign says, and to none without it
+        other = admissible(np.where(noise, 0.0, S), z, y, lower, upper, slowed, metric)
+        if norm(exact.nearest(other.x)[:, 0] - x) > BAR * solver.epsilon * norm(x):
+            return unknown(l, ANY_STATUS)
     missed = norm(exact.nearest(best.rest))
     reach = norm(x) + norm(y) + float(np.max(np.abs(z) / rows)) + float(np.max(np.abs(own)))
     tolerance = BAR * solver.epsilon * kappa * (reach + kappa * missed / float(np.min(rows)))
