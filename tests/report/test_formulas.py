@@ -9,16 +9,17 @@ import casadi as ca
 import numpy as np
 import pytest
 import servogen as sg
-from servogen.compiler import optimised_scene
+from servogen.compiler import derived_scene, optimised_scene
 from servogen.ir.evaluate import evaluate
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program
 from servogen.loading import builtin_names, load_scene
 from servogen.plan.module import Target
 from servogen.plan.planner import plan
-from servogen.report.equations import equations
+from servogen.report.equations import _written, equations
 from servogen.report.formulas import LARGEST, Formulas, formulas
 from servogen.report.mathml import formula, symbol
+from servogen.report.mathml import math as mathml
 from servogen.report.sparsity import kinds, picture
 
 FUNCTIONS = {"sin": math.sin, "cos": math.cos, "abs": abs}
@@ -210,3 +211,18 @@ def test_what_prepare_computes_has_no_name_of_the_users() -> None:
     shown = dict(equations(scene, formulation, module).computed)["Once, in prepare"]
     names = {"".join(ET.fromstring(line).itertext()).split("=")[0] for line in shown.lines}
     assert not names & {"c", "c0", "c1", "m"}
+
+
+def test_passive_constraints_are_told() -> None:
+    """The loop and its forces, and of S and z formulas that hold with them; the paper numbers none of these."""
+    scene = load_scene("four_bar")
+    formulation = derived_scene(scene)[0]
+    told = {q.name: (q.equation, q.formula) for q in formulation.quantities}
+    assert told["psi"][0] == "Eq. (3)"
+    assert told["S"] == ("", "psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T")
+    assert told["z"] == ("", "-psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi")
+    written = dict(_written(scene))
+    assert formula("Q u' = P + G tau + J^T lam") in written["The mechanism"].lines[0]
+    first, chi = written["loop, passive"].lines
+    assert first == mathml(formula("chi = 0"))
+    assert "<mi>χ</mi>" in chi

@@ -12,8 +12,9 @@ import servogen as sg
 from scipy.linalg import expm
 from servogen.cli import main
 from servogen.simulate.closed_loop import ClosedLoop, simulate
+from servogen.simulate.export import write_csv
 from servogen.simulate.machine import MOST_DELAY, Grid, grid_of, machine_in_words
-from servogen.simulate.trajectory import rows_that_differ
+from servogen.simulate.trajectory import Stop, rows_that_differ
 from servogen.simulate.wanted import load_simulation
 from servogen.tools import firmware_sim
 
@@ -72,7 +73,7 @@ def test_the_plant_may_be_another_mechanism(rail):
             ClosedLoop(rail.scene, replace(rail.simulation, plant=wrong))
 
 
-def test_the_plant_keeps_its_passive_constraints():
+def test_the_plant_keeps_its_passive_constraints(tmp_path):
     """Two masses of 1 that the controller takes for free are joined by a rod: its push moves both."""
     q, u, f = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("f")
     a, b, c = ca.SX.sym("a", 2), ca.SX.sym("b", 2), ca.SX.sym("c")
@@ -90,6 +91,11 @@ def test_the_plant_keeps_its_passive_constraints():
     assert np.allclose(run.u, 1 - np.exp(-run.t)[:, None], atol=1e-11)  # tau = 2 (1 - u), and 2 u' = tau
     assert len(run.drift) == len(run.t)
     assert np.max(run.drift) < 1e-12
+    header = write_csv(run, tmp_path / "run.csv").read_text().splitlines()[0]
+    assert header.endswith("sigma_min,drift")
+    stop = Stop("controller", 1.0, "", sg.Status.SINGULAR_MASS)
+    assert "a dead centre, or Q is singular" in replace(run, stop=stop).verdict.reason
+    assert "dead centres" in replace(run, stop=stop).verdict.advice
     strange = sg.PassiveHolonomic("rod", a[1] - a[0] - ca.SX.sym("load"))
     wrong = sg.Mechanism(q=a, u=b, tau=c, passive=[strange], **bodies)
     with pytest.raises(sg.SceneError, match="passive constraint 'rod': chi holds the symbol 'load'"):

@@ -1,5 +1,6 @@
 """Loops of robots: frames held together by robot.close, against the four-bar linkage written by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +55,8 @@ def test_a_closed_robot_is_the_linkage_by_hand(robot: sg.urdf.Robot) -> None:
     assert loop.name == "coupler_tip_to_rocker_tip"
     assert loop.chi.size1() == 2  # nothing moves out of the plane
     motor = ca.SX.sym("torque")
-    driven = sg.Mechanism(q=mech.q, u=mech.u, tau=motor, Q=mech.Q, P=mech.P, G=[[1], [0], [0]],
-                          known_rates=mech.known_rates, passive=mech.passive)  # fmt: skip
+    driven = replace(mech, tau=motor, G=[[1], [0], [0]])
+    assert driven.skeleton
     ref = sg.References(speed=sg.Ref(3.0, order=1))
     scene = sg.Scene("closed", driven, [sg.Nonholonomic("speed", robot.u[0] - ref.speed, Theta=-5.0)], references=ref,
                      domain={"q": ((-3, -3, 0.5), (3, 3, 2.8)), "u": (-4, 4)})  # fmt: skip
@@ -91,3 +92,16 @@ def test_a_weld_takes_all_that_moves(tmp_path: Path) -> None:
     welded = sg.urdf.load(path, quiet=True)
     chi = welded.close("coupler_tip", "rocker_tip", "pose").chi
     assert chi.size1() == 3  # two of position, one turn
+
+
+def test_names_of_closures(tmp_path: Path) -> None:
+    path = tmp_path / "linkage.urdf"
+    path.write_text(FOUR_BAR.replace("coupler_tip", "1_tip"))
+    robot = sg.urdf.load(path, quiet=True)
+    before = robot.mechanism
+    assert robot.close("1_tip", "rocker_tip").name == "_1_tip_to_rocker_tip"
+    with pytest.raises(sg.SceneError, match="'_1_tip_to_rocker_tip'; give a name"):
+        robot.close("1_tip", "rocker_tip", "pose")
+    robot.close("1_tip", "rocker_tip", "pose", name="weld")
+    assert [c.name for c in robot.mechanism.passive] == ["_1_tip_to_rocker_tip", "weld"]
+    assert not before.passive

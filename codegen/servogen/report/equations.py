@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 
 from servogen.derive.formulation import Formulation
+from servogen.derive.passive import HELD
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Program
 from servogen.law.law import shapes
@@ -37,10 +38,18 @@ def _written(scene: Scene) -> tuple[tuple[str, Formulas], ...]:
     mech = scene.mechanism
     motion = "q' = " + ("C u" if mech.C is not None else "u") + (" + D" if mech.D is not None else "")
     names = [n for n in ("C", "D", "Q", "P", "G") if getattr(mech, n) is not None]
-    first = math(formula(motion), mo(","), tag("mspace", width="2em"), formula("Q u' = P + G tau"))
+    first = math(
+        formula(motion),
+        mo(","),
+        tag("mspace", width="2em"),
+        formula("Q u' = P + G tau" + (HELD if mech.passive else "")),
+    )
     symbols = _in_order(scene)
     model = _formulas([(n, getattr(mech, n)) for n in names], symbols)
     parts = [("The mechanism", Formulas(model.operations, model.definitions, (first, *model.lines)))]
+    for held in mech.passive:
+        shown = _formulas([("chi", held.chi)], symbols)
+        parts.append((f"{held.name}, passive", replace(shown, lines=(math(formula("chi = 0")), *shown.lines))))
     for c in scene.constraints:
         shown = _formulas([(c.symbol, expression_of(c)), *theta_parts(c).items()], symbols)
         lines = (math(formula(c.wish)), *shown.lines)

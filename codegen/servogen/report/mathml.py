@@ -13,7 +13,7 @@ GREEK = dict(
     )
 )
 _FORMULA = re.compile(r"\^(-1|-T|T|\+)|([A-Za-z]+(?:_[A-Za-z0-9_]+)?)([0-9]*)('*)|([0-9.]+)|([-+=,()|\[\]])|(\s+)|(.)")
-_MATRICES = frozenset("A B C D F G J L P Q R S T W X I".split())
+_MATRICES = frozenset("A B C D F G J K L N P Q R S T W X I".split())
 
 
 def tag(name: str, *parts: str, **attributes: str) -> str:

@@ -25,7 +25,8 @@ def _cell(text: str) -> str:
 
 
 def write_csv(trajectory: Trajectory, file: Path) -> Path:
-    """One line a row: t, q_0.., u_0.., tau_0.., psi_0.. (phi_0..), status, rank, sigma_min, the outputs by name.
+    """One line a row: t, q_0.., u_0.., tau_0.., psi_0.. (phi_0..), status, rank, sigma_min, drift where there are
+    passive constraints, the outputs by name.
 
     Numbers read back as the same ones.
     """
@@ -38,6 +39,7 @@ def write_csv(trajectory: Trajectory, file: Path) -> Path:
     ):
         columns += [(f"{name}_{k}", values[:, k]) for k in range(values.shape[1])]
     columns += [("status", trajectory.status), ("rank", trajectory.rank), ("sigma_min", trajectory.sigma_min)]
+    columns += [("drift", trajectory.drift)] if len(trajectory.drift) else []
     columns += list(trajectory.outputs.items())
     header = ",".join(_cell(name) for name, _ in columns)
     texts = [[str(number) for number in column] for _, column in columns]  # the shortest that reads back

@@ -120,12 +120,18 @@ class Robot:
                          skeleton=skeleton(self._links, self._axes, self._tree, self._base))  # fmt: skip
 
     def close(
-        self, frame_a: str, frame_b: str, what: Literal["position", "pose"] = "position", stabilise: Any = 0.0
+        self,
+        frame_a: str,
+        frame_b: str,
+        what: Literal["position", "pose"] = "position",
+        stabilise: Any = 0.0,
+        name: str | None = None,
     ) -> PassiveHolonomic:
-        """Joins two frames by a passive constraint, which `mechanism` has from then on: a loop.
+        """Joins two frames by a passive constraint, which `mechanism` has from then on; one taken before stays open.
 
         what: "position" holds the origins together (a ball joint, a hinge in the plane), "pose" the axes, too (a weld).
-        stabilise: see sg.PassiveHolonomic. SceneError where no joint can bring the frames together.
+        stabilise: see sg.PassiveHolonomic. name: of the constraint, <frame_a>_to_<frame_b> if absent. SceneError where
+        no joint can bring the frames together, and for a name that another closure has.
         """
         if what not in ("position", "pose"):
             raise SceneError(f"close: {what!r}; choose 'position' or 'pose'")
@@ -140,7 +146,11 @@ class Robot:
             raise SceneError(
                 f"close: frames {frame_a!r} and {frame_b!r}: {told}; name two that joints between them move"
             )
-        name = re.sub(r"\W", "_", f"{frame_a}_to_{frame_b}", flags=re.ASCII)
+        if name is None:
+            name = re.sub(r"\W", "_", f"{frame_a}_to_{frame_b}", flags=re.ASCII)
+            name = f"_{name}" if name[0].isdigit() else name
+        if any(c.name == name for c in self._closures):
+            raise SceneError(f"close: frames {frame_a!r} and {frame_b!r}: a closure is named {name!r}; give a name")
         constraint = PassiveHolonomic(name, ca.vertcat(*entries), stabilise)
         self._closures.append(constraint)
         self.__dict__.pop("mechanism", None)
