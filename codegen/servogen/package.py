@@ -13,7 +13,7 @@ from servogen.render.core import Block
 from servogen.render.render import SourceFile
 from servogen.scene.scene import Scene
 from servogen.shared_core import add_to_core
-from servogen.twins.compiled import CompiledSolver, CompiledTwin, load_package
+from servogen.twins.compiled import CompiledSolver, CompiledTwin, LimitedSolver, load_package
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,7 +50,9 @@ class Package:
     def prefix(self) -> str:
         return self.module.target.prefix
 
-    def load(self, compiler: str | None = None, flags: Sequence[str] = ("-O2",)) -> CompiledTwin | CompiledSolver:
+    def load(
+        self, compiler: str | None = None, flags: Sequence[str] = ("-O2",)
+    ) -> CompiledTwin | CompiledSolver | LimitedSolver:
         """Compile the C on this machine and load it. compiler: default $CC, else cc."""
         if isinstance(flags, str):
             raise TypeError(f"load: flags={flags!r} is text; give its words, {flags.split()!r}")

@@ -75,6 +75,7 @@ class Info:
 
     By the paths NORMAL and QR sigma_min is a proven lower bound, unless `sg.Solver(sigma_min="exact")` was asked for.
     Of limits: `scale`, the part of the error dynamics that is kept, and `active`, a bit mask of the controls at one.
+    Where the status is negative, path is NONE and all other members are zero.
     """
 
     status: Status
@@ -86,11 +87,19 @@ class Info:
     scale: float = 1.0
     active: int = 0
 
+    def __post_init__(self) -> None:
+        """A refusal keeps no part of the error dynamics, whether the package has limits or not."""
+        if np.ndim(self.status):
+            if np.any(np.less(self.status, 0)):
+                object.__setattr__(self, "scale", np.where(np.less(self.status, 0), 0.0, self.scale))
+        elif self.status < 0:
+            object.__setattr__(self, "scale", 0.0)
+
     def __repr__(self) -> str:
         """Names for numbers; of a stack, how often each."""
         status, path = _names(Status, self.status), _names(Path, self.path)
         figures = ", ".join(f"{n}={_figure(getattr(self, n))}" for n in ("rank", "sweeps", "sigma_min", "residual"))
-        limited = np.any(np.not_equal(self.scale, 1.0)) or np.any(self.active)
+        limited = np.any(np.not_equal(self.scale, 1.0) & np.greater_equal(self.status, 0)) or np.any(self.active)
         bits = f", active={np.bitwise_or.reduce(np.ravel(self.active)):#b}"
         return f"Info({status}, {path}, {figures}{f', scale={_figure(self.scale)}{bits}' if limited else ''})"
 

@@ -160,7 +160,7 @@ def test_every_level_is_the_best(name: str, scalar: str, solvers) -> None:
     u = EPSILON[scalar]
     for shape, (m, l) in enumerate(SHAPES):
         given = systems(name, m, l, 6, scalar, shape)
-        tau, info = solvers(m, l, scalar).solve(*given[:3], lower=given[3], upper=given[4])
+        tau, info = solvers(m, l, scalar).solve(*given)
         assert np.all((given[3] <= tau) & (tau <= given[4])), "beyond a limit"
         assert np.all(
             info.active
@@ -256,11 +256,14 @@ def test_crossed_limits_and_nan_leave_tau_alone(solvers) -> None:
         tau, info = solve(S, z, last=last, lower=lower, upper=upper)
         assert info.status == sg.Status.LIMITS_CROSSED
         assert np.array_equal(tau, last)
+        policy = policy_for(2, 2, "float64", sg.Solver())
+        told = info, solve([S], [z], None, [lower], [upper])[1], solve_within(S, z, None, lower, upper, policy)[1]
+        assert all(np.all(np.array([i.scale, i.active]) == 0) for i in told)
     tau, info = solve([[np.nan, 0], [0, 1]], z, last=last, lower=0, upper=1)
     assert info.status == sg.Status.NONFINITE
     assert np.array_equal(tau, last)
-    with pytest.raises(TypeError, match="limits=True"):
-        sg.build_solver(1, 2).load().solve([[1, 2]], [1], lower=0)
+    policy = policy_for(2, 2, "float64", sg.Solver())
+    assert info.scale == solve_within(np.eye(2), [np.nan, 0], None, np.zeros(2), np.ones(2), policy)[1].scale == 0
     with pytest.raises(sg.SceneError, match="leave out damping"):
         sg.build_solver(2, 3, solver=sg.Solver(damping=0.1), limits=True)
 

@@ -211,6 +211,27 @@ def test_sigma_min_exact(scalar):
     assert (bound.sigma_min <= info.sigma_min + 4 * eps * values[:, 0]).all()
 
 
+@pytest.mark.parametrize("scalar", SCALARS)
+@pytest.mark.parametrize("solver", [sg.Solver(), sg.Solver(sigma_min="exact")])
+@pytest.mark.parametrize("shape", [(2, 3), (3, 7), (7, 3)])
+def test_sigma_min_after_an_svd_is_the_value(shape, solver, scalar):
+    """In rows of one unit it was half of it, and in rows of unlike units a bound, which may be above it by rounding."""
+    m, l = shape
+    generator = np.random.default_rng(24)
+    eps = EPSILON[scalar]
+    S = generator.choice([-1.0, 1.0], (60, m, l)) * generator.uniform(1.0, 1.9, (60, m, l))
+    short = S if m < l else S.transpose(0, 2, 1)
+    noise = generator.standard_normal((60, max(m, l))) * np.array([[0.0], [5.0], [20.0], [50.0]] * 15) * eps
+    short[:, -1] = 0.4 * (short[:, 0] + short[:, -2]) + noise
+    S[1::2] *= 2.0 ** generator.integers(-9, 10, (30, m, 1))
+    S = S.astype(scalar)
+    _, info = twin(m, l, scalar, solver).solve(S, np.ones((len(S), m)))
+    there = info.path == Path.SVD
+    assert there.sum() >= 40
+    for s, told in zip(S[there], info.sigma_min[there], strict=True):
+        assert abs(told - smallest_singular_value(s)) <= 4 * eps * np.linalg.norm(s, 2)
+
+
 @pytest.mark.parametrize("kappa", [1e6, 1e12, 5e13])
 def test_tall_and_ill_conditioned_is_as_good_as_wide(kappa):
     """The first step of the QR must not trust that its pivots are orthogonal: errors of 1e9 eps kappa, until mended."""

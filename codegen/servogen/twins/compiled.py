@@ -69,11 +69,12 @@ def stack_source(module: Module) -> str:
 
 def load_package(
     package: Built, compiler: str | None = None, flags: tuple[str, ...] = ("-O2",)
-) -> "CompiledTwin | CompiledSolver":
+) -> "CompiledTwin | CompiledSolver | LimitedSolver":
     """Compile and load. Raises ToolMissing without a C compiler, CompilerUnusable or CompilerRefused where it fails."""
     module = package.module
     if package.scene is None:
-        return CompiledSolver(module, compile_library(package, compiler, flags, stack_source(module)))
+        kind = CompiledSolver if module.limits is None else LimitedSolver
+        return kind(module, compile_library(package, compiler, flags, stack_source(module)))
     library = compile_library(package, compiler, flags)
     return CompiledTwin(package.scene, module, library)
 
@@ -315,8 +316,8 @@ def _refused(dtype: np.dtype[Any], status: Any) -> Any:
     return info
 
 
-class CompiledSolver:
-    """The pseudo-inverse alone: one system, or a stack of N (then `info` holds arrays of N)."""
+class _Solver:
+    """What a pseudo-inverse alone has with limits or without."""
 
     def __init__(self, module: Module, library: ct.CDLL) -> None:
         assert module.solver is not None
@@ -324,40 +325,26 @@ class CompiledSolver:
         self.dtype = np.dtype(module.target.scalar)
         self._library = library
         self._prefix = module.target.prefix
-        self.limited = module.limits is not None
         self._info_type = _info_dtype(module)
 
     def __repr__(self) -> str:
-        return f"<CompiledSolver of {self.m}x{self.l} matrices, {self.dtype}>"
+        return f"<{type(self).__name__} of {self.m}x{self.l} matrices, {self.dtype}>"
 
-    def solve(
-        self, S: Any, z: Any, y: Any = None, last: Any = None, *, lower: Any = None, upper: Any = None
-    ) -> tuple[FloatArray, Info]:
-        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front.
-
-        lower, upper: (l,), limits of tau, for a solver that was built with limits; None: no limit.
-        """
+    def _solve(self, S: Any, z: Any, y: Any, limits: tuple[Any, ...], last: Any) -> tuple[FloatArray, Info]:
         S, many = self._stack(S, (self.m, self.l), "S")
         z, _ = self._stack(z, (self.m,), "z", len(S))
         y = None if y is None else self._stack(y, (self.l,), "y", len(S))[0]
         tau = (
             np.zeros((len(S), self.l), self.dtype) if last is None else self._stack(last, (self.l,), "last", len(S))[0]
         )
-        tau = tau.copy()
-        return self._call("solve_stack", many, [S, z, y, *self._limits(lower, upper, len(S))], tau)
+        stacks = [self._limit(name, given, len(S)) for name, given in zip(("lower", "upper"), limits, strict=False)]
+        return self._call("solve_stack", many, [S, z, y, *stacks], tau.copy())
 
-    def _limits(self, lower: Any, upper: Any, count: int) -> list[FloatArray]:
-        """Both limits, a stack of each; none for a solver without. TypeError for limits that it cannot take."""
-        if not self.limited:
-            if lower is not None or upper is not None:
-                raise TypeError("this solver takes no limits; build it with sg.build_solver(..., limits=True)")
-            return []
-        stacks = []
-        for name, given, none in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
-            value = np.full((count, self.l), none, self.dtype) if given is None else np.asarray(given, self.dtype)
-            value = np.broadcast_to(value, (count, self.l)) if value.ndim < 2 and value.size in (1, self.l) else value
-            stacks.append(self._stack(value, (self.l,), name, count)[0])
-        return stacks
+    def _limit(self, name: str, given: Any, count: int) -> FloatArray:
+        """A limit of each system, from one for all of them."""
+        value = np.asarray(given, self.dtype)
+        value = np.broadcast_to(value, (count, self.l)) if value.ndim < 2 and value.size in (1, self.l) else value
+        return self._stack(value, (self.l,), name, count)[0]
 
     def pinv(self, S: Any, last: Any = None) -> tuple[FloatArray, Info]:
         """S+ of shape (l, m), or (N, l, m)."""
@@ -392,3 +379,24 @@ class CompiledSolver:
         if status < 0:
             return out[0], refusal(status)
         return out[0], Info(status, Path(int(one["path"])), *(one[name].item() for name in one.dtype.names[2:]))
+
+
+class CompiledSolver(_Solver):
+    """The pseudo-inverse alone: one system, or a stack of N (then `info` holds arrays of N)."""
+
+    def solve(self, S: Any, z: Any, y: Any = None, last: Any = None) -> tuple[FloatArray, Info]:
+        """tau = y + S+ (z - S y). S: (m, l), z: (m,), y, last and tau: (l,); or each with N in front."""
+        return self._solve(S, z, y, (), last)
+
+
+class LimitedSolver(_Solver):
+    """The pseudo-inverse alone, its answer within limits of tau: one system, or a stack of N."""
+
+    def solve(
+        self, S: Any, z: Any, y: Any = None, lower: Any = -np.inf, upper: Any = np.inf, last: Any = None
+    ) -> tuple[FloatArray, Info]:
+        """The best tau with lower <= tau <= upper (numerics.md: Limits). S: (m, l), z: (m,), the rest: (l,).
+
+        Each with N in front for a stack; a limit may be a number or (l,) there, too.
+        """
+        return self._solve(S, z, y, (lower, upper), last)

@@ -1062,29 +1062,14 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_p
     return double_pendulum_energy_and_path_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_sigma_min(const double *S,
-    double_pendulum_energy_and_path_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static double double_pendulum_energy_and_path_sigma_bound(double_pendulum_energy_and_path_factors *f)
 {
     double unit[2];
     double share;
     double_pendulum_energy_and_path_word least;
     int bottom = -DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
     int i;
-    if (f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD) {
-        const uint64_t magnitude = double_pendulum_energy_and_path_largest(S, 4);
-        const int top = magnitude == 0 ? 0 : double_pendulum_energy_and_path_exponent(magnitude);
-        if (f->uniform) {
-            return double_pendulum_energy_and_path_shift(f->sigma[1], top);
-        }
-        for (i = 0; i < 2; ++i) {
-            f->exponent[i] = top;
-        }
-        double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
-        double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 2; ++i) {
         bottom = f->exponent[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -1098,12 +1083,34 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_an
         least.value = double_pendulum_energy_and_path_normal_least(&f->normal, unit);
     } else {
         least.value = double_pendulum_energy_and_path_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR ? share : 1.0;
+        least.value *= share;
     }
     least.value = double_pendulum_energy_and_path_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < DOUBLE_PENDULUM_ENERGY_AND_PATH_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_sigma_min(const double *S,
+    double_pendulum_energy_and_path_factors *f)
+{
+    double u[4];
+    int i;
+    if (f->path != DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_SVD) {
+        return double_pendulum_energy_and_path_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint64_t magnitude = double_pendulum_energy_and_path_largest(S, 4);
+        const int top = magnitude == 0 ? 0 : double_pendulum_energy_and_path_exponent(magnitude);
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        double_pendulum_energy_and_path_scale(S, f->exponent, f->B);
+        double_pendulum_energy_and_path_qr_factor(f->B, &f->qr);
+        (void)double_pendulum_energy_and_path_svd(&f->qr, u, f->sigma);
+    }
+    return double_pendulum_energy_and_path_shift(f->sigma[1], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -888,11 +888,11 @@ static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE int double_pendulum_ideal_f32_factoris
 static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_sigma_min(const float *S,
     double_pendulum_ideal_f32_factors *f)
 {
-    const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
-    const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
     float u[4];
     int i;
     if (f->path != DOUBLE_PENDULUM_IDEAL_F32_PATH_SVD || !f->uniform) {
+        const uint32_t magnitude = double_pendulum_ideal_f32_largest(S, 4);
+        const int top = magnitude == 0 ? 0 : double_pendulum_ideal_f32_exponent(magnitude);
         for (i = 0; i < 2; ++i) {
             f->exponent[i] = top;
         }
@@ -900,7 +900,7 @@ static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_sigma_
         double_pendulum_ideal_f32_qr_factor(f->B, &f->qr);
         (void)double_pendulum_ideal_f32_svd(&f->qr, u, f->sigma);
     }
-    return double_pendulum_ideal_f32_shift(f->sigma[1], top);
+    return double_pendulum_ideal_f32_shift(f->sigma[1], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -921,11 +921,11 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE int double_pendulum_ideal_factorise(const 
 static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_sigma_min(const double *S,
     double_pendulum_ideal_factors *f)
 {
-    const uint64_t magnitude = double_pendulum_ideal_largest(S, 4);
-    const int top = magnitude == 0 ? 0 : double_pendulum_ideal_exponent(magnitude);
     double u[4];
     int i;
     if (f->path != DOUBLE_PENDULUM_IDEAL_PATH_SVD || !f->uniform) {
+        const uint64_t magnitude = double_pendulum_ideal_largest(S, 4);
+        const int top = magnitude == 0 ? 0 : double_pendulum_ideal_exponent(magnitude);
         for (i = 0; i < 2; ++i) {
             f->exponent[i] = top;
         }
@@ -933,7 +933,7 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_sigma_min(con
         double_pendulum_ideal_qr_factor(f->B, &f->qr);
         (void)double_pendulum_ideal_svd(&f->qr, u, f->sigma);
     }
-    return double_pendulum_ideal_shift(f->sigma[1], top);
+    return double_pendulum_ideal_shift(f->sigma[1], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -1330,28 +1330,14 @@ static IIWA_POSE_NOINLINE int iiwa_pose_factorise(const double *S, iiwa_pose_fac
     return iiwa_pose_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static IIWA_POSE_NOINLINE double iiwa_pose_sigma_min(const double *S, iiwa_pose_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static double iiwa_pose_sigma_bound(iiwa_pose_factors *f)
 {
     double unit[6];
     double share;
     iiwa_pose_word least;
     int bottom = -IIWA_POSE_NO_EXPONENT;
     int i;
-    if (f->path == IIWA_POSE_PATH_SVD) {
-        const uint64_t magnitude = iiwa_pose_largest(S, 42);
-        const int top = magnitude == 0 ? 0 : iiwa_pose_exponent(magnitude);
-        if (f->uniform) {
-            return iiwa_pose_shift(f->sigma[5], top);
-        }
-        for (i = 0; i < 6; ++i) {
-            f->exponent[i] = top;
-        }
-        iiwa_pose_scale(S, f->exponent, f->B);
-        iiwa_pose_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 6; ++i) {
         bottom = f->exponent[i] != IIWA_POSE_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1363,12 +1349,33 @@ static IIWA_POSE_NOINLINE double iiwa_pose_sigma_min(const double *S, iiwa_pose_
         least.value = iiwa_pose_normal_least(&f->normal, unit);
     } else {
         least.value = iiwa_pose_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == IIWA_POSE_PATH_QR ? share : 1.0;
+        least.value *= share;
     }
     least.value = iiwa_pose_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < IIWA_POSE_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static IIWA_POSE_NOINLINE double iiwa_pose_sigma_min(const double *S, iiwa_pose_factors *f)
+{
+    double u[48];
+    int i;
+    if (f->path != IIWA_POSE_PATH_SVD) {
+        return iiwa_pose_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint64_t magnitude = iiwa_pose_largest(S, 42);
+        const int top = magnitude == 0 ? 0 : iiwa_pose_exponent(magnitude);
+        for (i = 0; i < 6; ++i) {
+            f->exponent[i] = top;
+        }
+        iiwa_pose_scale(S, f->exponent, f->B);
+        iiwa_pose_qr_factor(f->B, &f->qr);
+        (void)iiwa_pose_svd(&f->qr, u, f->sigma);
+    }
+    return iiwa_pose_shift(f->sigma[5], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -1140,28 +1140,14 @@ static IIWA_POSITION_NOINLINE int iiwa_position_factorise(const double *S, iiwa_
     return iiwa_position_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static IIWA_POSITION_NOINLINE double iiwa_position_sigma_min(const double *S, iiwa_position_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static double iiwa_position_sigma_bound(iiwa_position_factors *f)
 {
     double unit[3];
     double share;
     iiwa_position_word least;
     int bottom = -IIWA_POSITION_NO_EXPONENT;
     int i;
-    if (f->path == IIWA_POSITION_PATH_SVD) {
-        const uint64_t magnitude = iiwa_position_largest(S, 21);
-        const int top = magnitude == 0 ? 0 : iiwa_position_exponent(magnitude);
-        if (f->uniform) {
-            return iiwa_position_shift(f->sigma[2], top);
-        }
-        for (i = 0; i < 3; ++i) {
-            f->exponent[i] = top;
-        }
-        iiwa_position_scale(S, f->exponent, f->B);
-        iiwa_position_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != IIWA_POSITION_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1174,12 +1160,33 @@ static IIWA_POSITION_NOINLINE double iiwa_position_sigma_min(const double *S, ii
         least.value = iiwa_position_normal_least(&f->normal, unit);
     } else {
         least.value = iiwa_position_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == IIWA_POSITION_PATH_QR ? share : 1.0;
+        least.value *= share;
     }
     least.value = iiwa_position_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < IIWA_POSITION_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static IIWA_POSITION_NOINLINE double iiwa_position_sigma_min(const double *S, iiwa_position_factors *f)
+{
+    double u[9];
+    int i;
+    if (f->path != IIWA_POSITION_PATH_SVD) {
+        return iiwa_position_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint64_t magnitude = iiwa_position_largest(S, 21);
+        const int top = magnitude == 0 ? 0 : iiwa_position_exponent(magnitude);
+        for (i = 0; i < 3; ++i) {
+            f->exponent[i] = top;
+        }
+        iiwa_position_scale(S, f->exponent, f->B);
+        iiwa_position_qr_factor(f->B, &f->qr);
+        (void)iiwa_position_svd(&f->qr, u, f->sigma);
+    }
+    return iiwa_position_shift(f->sigma[2], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

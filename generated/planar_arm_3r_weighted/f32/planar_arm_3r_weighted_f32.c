@@ -981,29 +981,14 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE int planar_arm_3r_weighted_f32_factor
     return planar_arm_3r_weighted_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE float planar_arm_3r_weighted_f32_sigma_min(const float *S,
-    planar_arm_3r_weighted_f32_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static float planar_arm_3r_weighted_f32_sigma_bound(planar_arm_3r_weighted_f32_factors *f)
 {
     float unit[2];
     float share;
     planar_arm_3r_weighted_f32_word least;
     int bottom = -PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT;
     int i;
-    if (f->path == PLANAR_ARM_3R_WEIGHTED_F32_PATH_SVD) {
-        const uint32_t magnitude = planar_arm_3r_weighted_f32_largest(S, 6);
-        const int top = magnitude == 0 ? 0 : planar_arm_3r_weighted_f32_exponent(magnitude);
-        if (f->uniform) {
-            return planar_arm_3r_weighted_f32_shift(f->sigma[1], top);
-        }
-        for (i = 0; i < 2; ++i) {
-            f->exponent[i] = top;
-        }
-        planar_arm_3r_weighted_f32_scale(S, f->exponent, f->B);
-        planar_arm_3r_weighted_f32_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 2; ++i) {
         bottom = f->exponent[i] != PLANAR_ARM_3R_WEIGHTED_F32_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -1017,12 +1002,34 @@ static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE float planar_arm_3r_weighted_f32_sigm
         least.value = planar_arm_3r_weighted_f32_normal_least(&f->normal, unit);
     } else {
         least.value = planar_arm_3r_weighted_f32_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == PLANAR_ARM_3R_WEIGHTED_F32_PATH_QR ? share : 1.0f;
+        least.value *= share;
     }
     least.value = planar_arm_3r_weighted_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < PLANAR_ARM_3R_WEIGHTED_F32_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static PLANAR_ARM_3R_WEIGHTED_F32_NOINLINE float planar_arm_3r_weighted_f32_sigma_min(const float *S,
+    planar_arm_3r_weighted_f32_factors *f)
+{
+    float u[4];
+    int i;
+    if (f->path != PLANAR_ARM_3R_WEIGHTED_F32_PATH_SVD) {
+        return planar_arm_3r_weighted_f32_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint32_t magnitude = planar_arm_3r_weighted_f32_largest(S, 6);
+        const int top = magnitude == 0 ? 0 : planar_arm_3r_weighted_f32_exponent(magnitude);
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        planar_arm_3r_weighted_f32_scale(S, f->exponent, f->B);
+        planar_arm_3r_weighted_f32_qr_factor(f->B, &f->qr);
+        (void)planar_arm_3r_weighted_f32_svd(&f->qr, u, f->sigma);
+    }
+    return planar_arm_3r_weighted_f32_shift(f->sigma[1], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -958,29 +958,14 @@ static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_factorise(co
     return quaternion_pointing_f32_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_sigma_min(const float *S,
-    quaternion_pointing_f32_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static float quaternion_pointing_f32_sigma_bound(quaternion_pointing_f32_factors *f)
 {
     float unit[3];
     float share;
     quaternion_pointing_f32_word least;
     int bottom = -QUATERNION_POINTING_F32_NO_EXPONENT;
     int i;
-    if (f->path == QUATERNION_POINTING_F32_PATH_SVD) {
-        const uint32_t magnitude = quaternion_pointing_f32_largest(S, 9);
-        const int top = magnitude == 0 ? 0 : quaternion_pointing_f32_exponent(magnitude);
-        if (f->uniform) {
-            return quaternion_pointing_f32_shift(f->sigma[2], top);
-        }
-        for (i = 0; i < 3; ++i) {
-            f->exponent[i] = top;
-        }
-        quaternion_pointing_f32_scale(S, f->exponent, f->B);
-        quaternion_pointing_f32_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != QUATERNION_POINTING_F32_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -994,12 +979,34 @@ static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_sigma_min(
         least.value = quaternion_pointing_f32_normal_least(&f->normal, unit);
     } else {
         least.value = quaternion_pointing_f32_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == QUATERNION_POINTING_F32_PATH_QR ? share : 1.0f;
+        least.value *= share;
     }
     least.value = quaternion_pointing_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < QUATERNION_POINTING_F32_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_sigma_min(const float *S,
+    quaternion_pointing_f32_factors *f)
+{
+    float u[9];
+    int i;
+    if (f->path != QUATERNION_POINTING_F32_PATH_SVD) {
+        return quaternion_pointing_f32_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint32_t magnitude = quaternion_pointing_f32_largest(S, 9);
+        const int top = magnitude == 0 ? 0 : quaternion_pointing_f32_exponent(magnitude);
+        for (i = 0; i < 3; ++i) {
+            f->exponent[i] = top;
+        }
+        quaternion_pointing_f32_scale(S, f->exponent, f->B);
+        quaternion_pointing_f32_qr_factor(f->B, &f->qr);
+        (void)quaternion_pointing_f32_svd(&f->qr, u, f->sigma);
+    }
+    return quaternion_pointing_f32_shift(f->sigma[2], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

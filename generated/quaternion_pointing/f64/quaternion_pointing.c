@@ -953,29 +953,14 @@ static QUATERNION_POINTING_NOINLINE int quaternion_pointing_factorise(const doub
     return quaternion_pointing_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static QUATERNION_POINTING_NOINLINE double quaternion_pointing_sigma_min(const double *S,
-    quaternion_pointing_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static double quaternion_pointing_sigma_bound(quaternion_pointing_factors *f)
 {
     double unit[3];
     double share;
     quaternion_pointing_word least;
     int bottom = -QUATERNION_POINTING_NO_EXPONENT;
     int i;
-    if (f->path == QUATERNION_POINTING_PATH_SVD) {
-        const uint64_t magnitude = quaternion_pointing_largest(S, 9);
-        const int top = magnitude == 0 ? 0 : quaternion_pointing_exponent(magnitude);
-        if (f->uniform) {
-            return quaternion_pointing_shift(f->sigma[2], top);
-        }
-        for (i = 0; i < 3; ++i) {
-            f->exponent[i] = top;
-        }
-        quaternion_pointing_scale(S, f->exponent, f->B);
-        quaternion_pointing_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != QUATERNION_POINTING_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -989,12 +974,34 @@ static QUATERNION_POINTING_NOINLINE double quaternion_pointing_sigma_min(const d
         least.value = quaternion_pointing_normal_least(&f->normal, unit);
     } else {
         least.value = quaternion_pointing_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == QUATERNION_POINTING_PATH_QR ? share : 1.0;
+        least.value *= share;
     }
     least.value = quaternion_pointing_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < QUATERNION_POINTING_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static QUATERNION_POINTING_NOINLINE double quaternion_pointing_sigma_min(const double *S,
+    quaternion_pointing_factors *f)
+{
+    double u[9];
+    int i;
+    if (f->path != QUATERNION_POINTING_PATH_SVD) {
+        return quaternion_pointing_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint64_t magnitude = quaternion_pointing_largest(S, 9);
+        const int top = magnitude == 0 ? 0 : quaternion_pointing_exponent(magnitude);
+        for (i = 0; i < 3; ++i) {
+            f->exponent[i] = top;
+        }
+        quaternion_pointing_scale(S, f->exponent, f->B);
+        quaternion_pointing_qr_factor(f->B, &f->qr);
+        (void)quaternion_pointing_svd(&f->qr, u, f->sigma);
+    }
+    return quaternion_pointing_shift(f->sigma[2], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -1005,11 +1005,11 @@ static SKEWED_THRUSTERS_F32_NOINLINE int skewed_thrusters_f32_factorise(const fl
 static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_sigma_min(const float *S,
     skewed_thrusters_f32_factors *f)
 {
-    const uint32_t magnitude = skewed_thrusters_f32_largest(S, 48);
-    const int top = magnitude == 0 ? 0 : skewed_thrusters_f32_exponent(magnitude);
     float u[48];
     int i;
     if (f->path != SKEWED_THRUSTERS_F32_PATH_SVD || !f->uniform) {
+        const uint32_t magnitude = skewed_thrusters_f32_largest(S, 48);
+        const int top = magnitude == 0 ? 0 : skewed_thrusters_f32_exponent(magnitude);
         for (i = 0; i < 6; ++i) {
             f->exponent[i] = top;
         }
@@ -1017,7 +1017,7 @@ static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_sigma_min(const 
         skewed_thrusters_f32_qr_factor(f->B, &f->qr);
         (void)skewed_thrusters_f32_svd(&f->qr, u, f->sigma);
     }
-    return skewed_thrusters_f32_shift(f->sigma[5], top);
+    return skewed_thrusters_f32_shift(f->sigma[5], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -995,11 +995,11 @@ static SKEWED_THRUSTERS_NOINLINE int skewed_thrusters_factorise(const double *S,
 /* sigma_min of the raw S. Call it last: it takes the place of the factors. */
 static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_sigma_min(const double *S, skewed_thrusters_factors *f)
 {
-    const uint64_t magnitude = skewed_thrusters_largest(S, 48);
-    const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
     double u[48];
     int i;
     if (f->path != SKEWED_THRUSTERS_PATH_SVD || !f->uniform) {
+        const uint64_t magnitude = skewed_thrusters_largest(S, 48);
+        const int top = magnitude == 0 ? 0 : skewed_thrusters_exponent(magnitude);
         for (i = 0; i < 6; ++i) {
             f->exponent[i] = top;
         }
@@ -1007,7 +1007,7 @@ static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_sigma_min(const double 
         skewed_thrusters_qr_factor(f->B, &f->qr);
         (void)skewed_thrusters_svd(&f->qr, u, f->sigma);
     }
-    return skewed_thrusters_shift(f->sigma[5], top);
+    return skewed_thrusters_shift(f->sigma[5], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */

@@ -999,28 +999,14 @@ static UNICYCLE_PATH_NOINLINE int unicycle_path_factorise(const double *S, unicy
     return unicycle_path_factorise_svd(S, f, top, bottom);
 }
 
-/* A lower bound of sigma_min of the raw S. After an SVD of S as it is: sigma_min itself; after one of its scaled rows:
-   the bound without regard to rounding, which is all that is left there. Call it last: it takes the place of the
-   factors. */
-static UNICYCLE_PATH_NOINLINE double unicycle_path_sigma_min(const double *S, unicycle_path_factors *f)
+/* A lower bound of sigma_min of the raw S from the factors of NORMAL or QR; it takes their place. */
+static double unicycle_path_sigma_bound(unicycle_path_factors *f)
 {
     double unit[2];
     double share;
     unicycle_path_word least;
     int bottom = -UNICYCLE_PATH_NO_EXPONENT;
     int i;
-    if (f->path == UNICYCLE_PATH_PATH_SVD) {
-        const uint64_t magnitude = unicycle_path_largest(S, 4);
-        const int top = magnitude == 0 ? 0 : unicycle_path_exponent(magnitude);
-        if (f->uniform) {
-            return unicycle_path_shift(f->sigma[1], top);
-        }
-        for (i = 0; i < 2; ++i) {
-            f->exponent[i] = top;
-        }
-        unicycle_path_scale(S, f->exponent, f->B);
-        unicycle_path_qr_factor(f->B, &f->qr);
-    }
     for (i = 0; i < 2; ++i) {
         bottom = f->exponent[i] != UNICYCLE_PATH_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1033,12 +1019,33 @@ static UNICYCLE_PATH_NOINLINE double unicycle_path_sigma_min(const double *S, un
         least.value = unicycle_path_normal_least(&f->normal, unit);
     } else {
         least.value = unicycle_path_qr_least(&f->qr, unit, &share);
-        least.value *= f->path == UNICYCLE_PATH_PATH_QR ? share : 1.0;
+        least.value *= share;
     }
     least.value = unicycle_path_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
     least.bits -= least.bits < UNICYCLE_PATH_SMALLEST_NORMAL && least.bits > 0;
     return least.value;
+}
+
+/* sigma_min of the raw S, where no SVD ran a lower bound of it. Call it last: it takes the place of the factors. */
+static UNICYCLE_PATH_NOINLINE double unicycle_path_sigma_min(const double *S, unicycle_path_factors *f)
+{
+    double u[4];
+    int i;
+    if (f->path != UNICYCLE_PATH_PATH_SVD) {
+        return unicycle_path_sigma_bound(f);
+    }
+    if (!f->uniform) {
+        const uint64_t magnitude = unicycle_path_largest(S, 4);
+        const int top = magnitude == 0 ? 0 : unicycle_path_exponent(magnitude);
+        for (i = 0; i < 2; ++i) {
+            f->exponent[i] = top;
+        }
+        unicycle_path_scale(S, f->exponent, f->B);
+        unicycle_path_qr_factor(f->B, &f->qr);
+        (void)unicycle_path_svd(&f->qr, u, f->sigma);
+    }
+    return unicycle_path_shift(f->sigma[1], f->exponent[0]); /* the unit of all rows */
 }
 
 /* Fills *info for a call that is refused: nothing but its negative status is known. Returns the status. */
