@@ -1840,8 +1840,7 @@ static const float double_pendulum_ideal_f32_known_pinv[4] = {
     1.0f
 };
 static const double_pendulum_ideal_f32_info double_pendulum_ideal_f32_known_info = {
-    DOUBLE_PENDULUM_IDEAL_F32_OK, DOUBLE_PENDULUM_IDEAL_F32_PATH_PRECOMPUTED, 2, 0, 0.618034f, 0.0f
-};
+    DOUBLE_PENDULUM_IDEAL_F32_OK, DOUBLE_PENDULUM_IDEAL_F32_PATH_PRECOMPUTED, 2, 0, 0.618034f, 0.0f};
 
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_pinv,

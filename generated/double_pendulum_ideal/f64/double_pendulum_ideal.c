@@ -1860,8 +1860,7 @@ static const double double_pendulum_ideal_known_pinv[4] = {
     1.0
 };
 static const double_pendulum_ideal_info double_pendulum_ideal_known_info = {
-    DOUBLE_PENDULUM_IDEAL_OK, DOUBLE_PENDULUM_IDEAL_PATH_PRECOMPUTED, 2, 0, 0.6180339887498949, 0.0
-};
+    DOUBLE_PENDULUM_IDEAL_OK, DOUBLE_PENDULUM_IDEAL_PATH_PRECOMPUTED, 2, 0, 0.6180339887498949, 0.0};
 
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_solve_known(const double *S, const double *S_pinv,
