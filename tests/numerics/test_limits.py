@@ -64,6 +64,12 @@ def thrusters(r: np.random.Generator, m: int, l: int) -> System:
     return S, z, np.zeros(l), np.zeros(l), np.full(l, np.inf)
 
 
+def standstill(r: np.random.Generator, m: int, l: int) -> System:
+    """Nothing is asked of thrusters: often tau = 0 alone, where all numbers in play vanish but y."""
+    S = r.integers(-2, 3, (m, l)) if r.random() < 0.5 else r.standard_normal((m, l))
+    return S, np.zeros(m), np.full(l, 0.5), np.zeros(l), np.full(l, 3.0)
+
+
 def vertex(r: np.random.Generator, m: int, l: int) -> System:
     """All constraints can be met, at a corner of the box."""
     S, lower, upper = r.integers(-3, 4, (m, l)), -r.integers(1, 9, l) / 4, r.integers(1, 9, l) / 4
@@ -106,6 +112,7 @@ FAMILIES: dict[str, Callable[[np.random.Generator, int, int], System]] = {
         deficient,
         one_sided,
         thrusters,
+        standstill,
         vertex,
         beside_a_vertex,
         face,
@@ -300,7 +307,7 @@ def test_numbers_near_the_ends_of_the_range(scalar: str, huge: float, solvers) -
     assert info.status == sg.Status.LIMITED_INCONSISTENT
 
 
-@pytest.mark.parametrize("name", ["plain", "vertex", "beside_a_vertex", "ties"])
+@pytest.mark.parametrize("name", ["plain", "vertex", "beside_a_vertex", "ties", "standstill"])
 def test_the_search_ends(name: str, solvers) -> None:
     for m, l in ((3, 7), (6, 12)):
         given = systems(name, m, l, 300, "float64", 11)
