@@ -281,6 +281,7 @@ def _advice_of(status: Status) -> str:
         Status.NONFINITE: "Look for a division by zero or a root of a negative number in the model at that state.",
         Status.SINGULAR_MASS: "Give parameters of a body that has mass, or keep away from where Q is singular.",
         Status.NOT_CONVERGED: "Scale the constraints and controls to like sizes; tell us of it with the state.",
+        Status.LIMITS_CROSSED: "Give limits that leave a number between lower and upper at that state.",
         Status.OVERFLOW: "Something grew without bound: look at what grows before the end, and try a shorter step.",
     }[status]
 
