@@ -6,7 +6,8 @@ from typing import Literal
 from servogen.package import Package
 from servogen.plan.module import StructField
 from servogen.render.literals import literal
-from servogen.results import Path, Status
+from servogen.render.solver_context import statuses
+from servogen.results import Path
 
 Settable = Literal["ALWAYS", "BEFORE_STEPS", "NEVER"]
 
@@ -152,17 +153,17 @@ def add_controller(
         f"{constraint} at the last tick",
         **calculated,
     )
-    statuses = ", ".join(f"{int(s)} {s.name}" for s in Status)
+    said = ", ".join(f"{number} {name}" for name, number, _ in statuses())
     paths = ", ".join(f"{int(p)} {p.name}" for p in Path)
     for name, text in (
-        ("status", f"of the last tick: {statuses}; where it is negative tau stays as it was"),
+        ("status", f"of the last tick: {said}; where it is negative tau stays as it was"),
         ("path", f"how the answer was found: {paths}"),
         ("rank", "singular values that count as nonzero"),
         ("sweeps", "of the longest Jacobi iteration"),
     ):
         found.add(f"info.{name}", "Int32", 1, "output", "discrete", f"&s->info.{name}", text, **calculated)
     for name, text in (
-        ("sigma_min", "the smallest singular value"),
+        ("sigma_min", "the smallest singular value; where no SVD was needed, a lower bound of it"),
         ("residual", "2-norm of what is left of the equations"),
     ):
         found.add(f"info.{name}", found.real, 1, "output", "discrete", f"&s->info.{name}", text, **calculated)

@@ -144,19 +144,18 @@ def plan_solver_only(m: int, l: int, target: Target, solver: Solver, limits: boo
     digest = hashlib.sha256(text.encode()).hexdigest()
     planned = dataclasses.replace(planned, root=_root(target))
     return Module(
-        name,
-        target,
-        digest,
-        (),
-        (),
-        (),
-        Prepare(nothing),
-        (),
-        (),
-        law,
-        0.0,
-        None,
-        {SYSTEM: planned},
+        scene=name,
+        target=target,
+        scene_hash=digest,
+        parameters=(),
+        model=(),
+        inputs=(),
+        prepare=Prepare(nothing),
+        kernels=(),
+        entry_points=(),
+        law=law,
+        mass_tolerance=0.0,
+        solvers={SYSTEM: planned},
         limits=bounds,
     )
 

@@ -77,7 +77,7 @@ class SolverPlan(Layout):
         return (*certified, self.path)
 
     @property
-    def bounded(self) -> bool:
+    def tells_bound(self) -> bool:
         """Whether info tells a lower bound of sigma_min where a certificate held."""
         return self.form == "full" and self.method == "auto" and self.sigma_min == "bound"
 

@@ -294,7 +294,10 @@ def _ending(run: Trajectory, simulation: Simulation) -> tuple[tuple[str, str], .
     last, largest = (with_unit(float(np.max(np.abs(x))), units.get("tau")) for x in (run.tau[-1], run.tau))
     rows = [
         ("why the run ended", str(run.stop)),
-        ("smallest singular value", f"{run.sigma_min[-1]:.3g} at the end, never below {np.min(run.sigma_min):.3g}"),
+        (
+            "smallest singular value, or a bound below it",
+            f"{run.sigma_min[-1]:.3g} at the end, never below {np.min(run.sigma_min):.3g}",
+        ),
         ("largest control", f"{last} at the end, never above {largest}"),
         ("rank", f"{run.rank[-1]} at the end, never below {np.min(run.rank)}"),
     ]

@@ -50,7 +50,7 @@ class Samples:
         columns = [ca.DM(self.examined[f.name].T) for f in fields]
         columns += [ca.DM(self.parameters[f.name].T) for f in self.scene.parameters]
         function = ca.Function("sample", symbols, [ca.densify(expression)])
-        values = np.array(function.map(EXAMINED)(*columns)) if symbols else np.array(function())
+        values = np.array(function.map(EXAMINED)(*columns))
         rows, cols = expression.shape
         return values.reshape(rows, EXAMINED, cols).transpose(1, 0, 2)
 

@@ -36,8 +36,8 @@ class Simulation:
     stop: name -> SX scalar; the run ends with that name where it becomes <= 0.
     references: name -> function of time, lambda t: SX, for references (and y) that move; their rates r_dot and r_ddot,
         where the scene declares them, are its derivatives. Numbers, and what is left out (see start), are constant.
-    sigma_min, tau_max: margins; the run ends where the smallest singular value of the raw S (A, G) falls to the one,
-        or a control's magnitude exceeds the other.
+    sigma_min, tau_max: margins; the run ends where `info.sigma_min`, the smallest singular value of the raw S (A, G) or
+        a lower bound of it, falls to the one, or a control's magnitude exceeds the other.
     method: "rk4", or "dop8", the order-8 formula of Dormand and Prince.
     domain: {"q": (lo, hi), "u": (lo, hi)}, where this run is expected to go, if not where the scene's domain says; each
         a number or a list, -inf and inf for no end. A run that goes elsewhere has left the domain, whatever psi does.
