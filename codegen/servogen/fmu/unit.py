@@ -175,7 +175,8 @@ def _controller_unit(package: Package, scene: Scene, simulation: Simulation) -> 
     first = starts.pop("tau")
     found = interface(package, starts, {f.name: f.default for f in module.parameters})
     advances = bool(module.law.advanced())
-    add_controller(found, scene.controls, system.constraint, scene.rows, first if advances else None)
+    limited = scene.limits is not None
+    add_controller(found, scene.controls, system.constraint, scene.rows, first if advances else None, limited)
     numbers = {
         "l": scene.controls,
         "m": scene.rows,

@@ -105,9 +105,12 @@ def _add_input(found: Variables, f: StructField, start: tuple[float, ...]) -> No
 
 
 def add_controller(
-    found: Variables, controls: int, constraint: str, rows: int, first: tuple[float, ...] | None
+    found: Variables, controls: int, constraint: str, rows: int, first: tuple[float, ...] | None, limited: bool
 ) -> None:
-    """tau, what is known of it, and when it is computed. first: tau at the start, where the unit integrates it."""
+    """tau, what is known of it, and when it is computed.
+
+    first: tau at the start, where the unit integrates it. limited: whether tau has limits.
+    """
     if first is not None:
         found.add(
             "start.tau",
@@ -153,7 +156,7 @@ def add_controller(
         f"{constraint} at the last tick",
         **calculated,
     )
-    said = ", ".join(f"{number} {name}" for name, number, _ in statuses())
+    said = ", ".join(f"{number} {name}" for name, number, _ in statuses(limited))
     paths = ", ".join(f"{int(p)} {p.name}" for p in Path)
     for name, text in (
         ("status", f"of the last tick: {said}; where it is negative tau stays as it was"),

@@ -296,7 +296,7 @@ class CompiledTwin(Twin):
         info[status < 0] = _refused(info.dtype, status[status < 0])
         members = {n: np.ascontiguousarray(info[n]) for n in info.dtype.names or ()}
         if "scale" not in members:
-            members |= {"scale": np.ones(states.count, self.dtype), "active": np.zeros(states.count, np.int32)}
+            members |= {"scale": (status >= 0).astype(self.dtype), "active": np.zeros(states.count, np.int32)}
         return Batch(value, **members)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
