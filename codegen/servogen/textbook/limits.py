@@ -7,7 +7,6 @@ one nearest to y is Lawson and Hanson's least distance programming, through thei
 import dataclasses
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
 
 from servogen.results import FloatArray, Info, Path, Status
 from servogen.textbook.policy import Policy
@@ -101,6 +100,8 @@ def _part(
 
 def _reaching(S: FloatArray, z: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Some tau within the limits that minimises |S tau - z|; what has no width is not asked."""
+    from scipy.optimize import lsq_linear  # here, for it takes a third of the time to import servogen
+
     wide = lower < upper
     tau = np.where(wide, 0.0, lower)
     if wide.any():
@@ -117,6 +118,8 @@ def _nearest(
     N spans the kernel of S with T N orthonormal, so that min |T (N t - d)| is min |t - (T N)^T T d|; with t that plus
     v, min |v| subject to G v >= h - G times that.
     """
+    from scipy.optimize import nnls
+
     wide = lower < upper
     N = _kernel(S[:, wide])
     if N.shape[1] == 0:
