@@ -89,11 +89,11 @@ class Info:
 
     def __post_init__(self) -> None:
         """A refusal keeps no part of the error dynamics, whether the package has limits or not."""
-        if np.ndim(self.status):
-            if np.any(np.less(self.status, 0)):
-                object.__setattr__(self, "scale", np.where(np.less(self.status, 0), 0.0, self.scale))
-        elif self.status < 0:
-            object.__setattr__(self, "scale", 0.0)
+        if isinstance(self.status, Status):  # of one call, which must not wait for numpy
+            if self.status < 0:
+                object.__setattr__(self, "scale", 0.0)
+        elif np.any(np.less(self.status, 0)):
+            object.__setattr__(self, "scale", np.where(np.less(self.status, 0), 0.0, self.scale))
 
     def __repr__(self) -> str:
         """Names for numbers; of a stack, how often each."""
