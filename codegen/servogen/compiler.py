@@ -43,6 +43,7 @@ def build(
     casadi_abi: bool = False,
     entry_points: Sequence[str] | None = None,
     core: str | None = None,
+    batch: bool = False,
 ) -> Package:
     """Generate the C of a scene.
 
@@ -69,7 +70,7 @@ def build(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
     remarks = review(scene) + derived_scene(scene)[0].remarks
-    files, shared = render_with_core(module, casadi_abi)
+    files, shared = render_with_core(module, casadi_abi, batch)
     package = write(files, out, module, scene, remarks, shared if core else None)
     say(remarks)
     return package
@@ -127,6 +128,7 @@ def build_solver(
     *,
     math: Math = "own",
     limits: bool = False,
+    batch: bool = False,
 ) -> Package:
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12.
 
@@ -140,7 +142,7 @@ def build_solver(
         raise SceneError(f"sg.build_solver({m!r}, {l!r}): give the rows and the columns of S as whole numbers, 1 to 12")
     m, l = int(m), int(l)
     module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver, bool(limits))
-    return write(render(module), out, module, None)
+    return write(render(module, batch=batch), out, module, None)
 
 
 def build_plant(

@@ -1,6 +1,7 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
+import platform
 import struct
 import tempfile
 from dataclasses import replace
@@ -96,6 +97,11 @@ def build_library(
     if package.core is not None:
         sources.append(str(package.core / f"{package.module.target.core}.c"))
         folders.append(f"-I{package.core}")
+    batch = package.path / f"{package.prefix}_batch.c"
+    native: list[str] = []
+    if batch.is_file():
+        sources.append(str(batch))
+        native = ["-march=native"] if platform.machine() in ("x86_64", "AMD64") else []  # vectors as long as they come
     if extra:
         beside = folder / "extra.c"
         beside.write_text(extra)
@@ -103,7 +109,7 @@ def build_library(
     sources += [word for word in flags if word.endswith(".c")]
     chosen = [word for word in flags if not word.endswith(".c")]
     more = ["-fPIC", "-shared", *folders, *sources, "-o", str(library), "-lm"]
-    compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
+    compile_c(command, [*CROSS_CHECK_FLAGS, *native, *chosen], more, f"{package.prefix}.c")
     return library
 
 
@@ -294,7 +300,7 @@ class CompiledTwin(Twin):
         status = run(self._call(entry, *numbers), states, value, info, threads)
         info["status"] = status  # prepare's, where it refused a state's parameters
         info[status < 0] = _refused(info.dtype, status[status < 0])
-        members = {n: np.ascontiguousarray(info[n]) for n in info.dtype.names or ()}
+        members = {n: info[n] for n in info.dtype.names or ()}
         if "scale" not in members:
             members |= {"scale": (status >= 0).astype(self.dtype), "active": np.zeros(states.count, np.int32)}
         return Batch(value, **members)
@@ -306,7 +312,12 @@ class CompiledTwin(Twin):
 
     def _call(self, entry: str, dt: float | None = None) -> Call:
         parameters, inputs = ([f.name for f in fields] for fields in (self._module.parameters, self._module.inputs))
-        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt)
+        many = getattr(self._library, f"{self._module.target.prefix}_control_batch") if self._by_many(entry) else None
+        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt, many)
+
+    def _by_many(self, entry: str) -> bool:
+        """Whether the package has its control function for many states, too (sg.build with batch)."""
+        return entry == "control" and hasattr(self._library, f"{self._module.target.prefix}_control_batch")
 
 
 def _refused(dtype: np.dtype[Any], status: Any) -> Any:
