@@ -28,7 +28,8 @@ def routine_of(module: Module) -> Routine | None:
 def lanes_context(module: Module) -> dict[str, Any]:
     """What batch.c.j2 names beside the names of a package."""
     routine, plan = routine_of(module), module.solver
-    assert routine is not None and plan is not None
+    assert routine is not None
+    assert plan is not None
     of_a_state = bool(module.entry_points)
     steps = [s for s in routine.steps if not isinstance(s, Evaluate)]
     context = {
@@ -43,7 +44,8 @@ def lanes_context(module: Module) -> dict[str, Any]:
     if not (of_a_state and context["by_lanes"]):
         return context
     kernel, solve = module.control, steps[0]
-    assert kernel is not None and isinstance(solve, Solve)
+    assert kernel is not None
+    assert isinstance(solve, Solve)
     printer = _LanePrinter(kernel.program, module.target.scalar, module.target.prefix, kernel.pairs)
     if kernel.chunks:
         context["parts"], context["entries"] = printed_pieces(printer, kernel.chunks)

@@ -69,8 +69,8 @@ def environment(folder: str = "render") -> Environment:
 def render(module: Module, casadi_abi: bool = False, batch: bool = False) -> tuple[SourceFile, ...]:
     """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant.
 
-    casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only). batch: also <prefix>_batch.h and .c,
-    many states at once.
+    casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
+    batch: also <prefix>_batch.h and .c, many states at once.
     """
     return render_with_core(module, casadi_abi, batch)[0]
 
@@ -91,7 +91,7 @@ def render_with_core(
     files = [
         SourceFile(f"{prefix}.h", folded(templates.get_template(f"{kind}.h.j2").render(context))),
         SourceFile(f"{prefix}.c", folded(source)),
-        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
+        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context | {"batch": batch})),
     ]
     if casadi_abi:
         shim = templates.get_template("casadi.c.j2").render(context | _shim(module))

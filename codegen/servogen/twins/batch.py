@@ -24,17 +24,19 @@ STATES_IN_A_BLOCK = 128
 
 # The loop knows no scene. It copies the numbers of one state from their arrays into the struct that the function reads,
 # whose members have one type and so no padding; it is compiled once in a process, for any package and either scalar.
-_LOOP = f"""
+_LOOP = (
+    f"""
 #include <string.h>
 
 #define BLOCK {STATES_IN_A_BLOCK}
-""" + """
+"""
+    + """
 
 struct span { const char *first; long stride; long bytes; };
 struct batch {
     int (*prepare)(const void *params, void *model);   /* null: one model for all states */
     void *function;
-    void *many;                                         /* the same for many states that share a model; null: there is none */
+    void *many;                                         /* the same for states of one model; null: there is none */
     long takes_dt;                                      /* 0: no; else the size of its scalar */
     double dt;
     long parameters, inputs;                            /* how many spans each */
@@ -74,7 +76,8 @@ void run_batch(const struct batch *b, long first, long end, void *params, void *
             for (j = k; j < last; ++j) {
                 to = gather(b->input, b->inputs, j, to);
             }
-            ((answers *)b->many)(model, in, (size_t)(last - k), b->value + k * b->value_bytes, b->info + k * b->info_bytes, b->status + k);
+            ((answers *)b->many)(model, in, (size_t)(last - k), b->value + k * b->value_bytes,
+                                 b->info + k * b->info_bytes, b->status + k);
         }
         return;
     }
@@ -102,6 +105,7 @@ void run_batch(const struct batch *b, long first, long end, void *params, void *
     }
 }
 """
+)
 
 
 class _Span(ct.Structure):

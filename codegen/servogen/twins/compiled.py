@@ -33,6 +33,15 @@ void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, 
         {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, {at}tau + k * {l}, info + k);
     }}
 }}
+"""
+_BATCH = """
+#include "{p}_batch.h"
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+{{
+    {p}_solve_batch(S, z, y, (size_t)n, tau, info, NULL);
+}}
+"""
+_PINV_STACK = """
 void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 {{
     long k;
@@ -58,14 +67,18 @@ class Built(Protocol):
     def core(self) -> FilePath | None: ...
 
 
-def stack_source(module: Module) -> str:
-    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
+def stack_source(module: Module, batch: bool = False) -> str:
+    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's.
+
+    batch: the package has solve for many systems itself.
+    """
     real, shape = module.target.real, _shape(module)
     limits, at = "", ""
     if module.limits is not None:
         limits = f"const {real} *lower, const {real} *upper, "
         at = "lower + k * {l}, upper + k * {l}, ".format(**shape)
-    return _STACK.format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
+    solve = _BATCH if batch else _STACK
+    return (solve + _PINV_STACK).format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
 
 
 def load_package(
@@ -75,7 +88,8 @@ def load_package(
     module = package.module
     if package.scene is None:
         kind = CompiledSolver if module.limits is None else LimitedSolver
-        return kind(module, compile_library(package, compiler, flags, stack_source(module)))
+        stacks = stack_source(module, _batch_of(package).is_file())
+        return kind(module, compile_library(package, compiler, flags, stacks))
     library = compile_library(package, compiler, flags)
     return CompiledTwin(package.scene, module, library)
 
@@ -97,10 +111,9 @@ def build_library(
     if package.core is not None:
         sources.append(str(package.core / f"{package.module.target.core}.c"))
         folders.append(f"-I{package.core}")
-    batch = package.path / f"{package.prefix}_batch.c"
     native: list[str] = []
-    if batch.is_file():
-        sources.append(str(batch))
+    if _batch_of(package).is_file():
+        sources.append(str(_batch_of(package)))
         native = ["-march=native"] if platform.machine() in ("x86_64", "AMD64") else []  # vectors as long as they come
     if extra:
         beside = folder / "extra.c"
@@ -111,6 +124,11 @@ def build_library(
     more = ["-fPIC", "-shared", *folders, *sources, "-o", str(library), "-lm"]
     compile_c(command, [*CROSS_CHECK_FLAGS, *native, *chosen], more, f"{package.prefix}.c")
     return library
+
+
+def _batch_of(package: Built) -> FilePath:
+    """The C that does control, or solve, for many states by vectors; there if the package was built with batch."""
+    return package.path / f"{package.prefix}_batch.c"
 
 
 def _shape(module: Module) -> dict[str, int]:
