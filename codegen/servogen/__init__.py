@@ -10,7 +10,7 @@ from servogen.fmu.unit import build_fmu
 from servogen.package import Package
 from servogen.remarks import Remark
 from servogen.results import Batch, Control, Info, Path, Status
-from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic, Output
 from servogen.scene.limits import Limits
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.passive import PassiveHolonomic, PassiveNonholonomic
@@ -33,6 +33,7 @@ __all__ = [
     "Limits",
     "Mechanism",
     "Nonholonomic",
+    "Output",
     "Package",
     "Parameter",
     "Parameters",
