@@ -61,7 +61,8 @@ def plain_runs(many: Runs, duration: float) -> FloatArray:
 
     def rate(t: float, x: FloatArray) -> FloatArray:
         Q, bias = _arm(m, x)
-        return np.hstack([x[:, 3:], _solved(Q, _control(known, t, x) - bias)])
+        push = _control(known, t, x) - bias
+        return np.hstack([x[:, 3:], np.linalg.solve(Q, push[:, :, None])[:, :, 0]])
 
     for k in range(round(duration / STEP) + 1):
         t = k * STEP
@@ -121,10 +122,6 @@ def _reference(t: float) -> FloatArray:
     """The circle, its velocity and its acceleration."""
     c, s = 0.15 * math.cos(math.pi * t), 0.15 * math.sin(math.pi * t)
     return np.array([[0.5 + c, 0.4 + s], [-math.pi * s, math.pi * c], [-(math.pi**2) * c, -(math.pi**2) * s]])
-
-
-def _solved(Q: FloatArray, right: FloatArray) -> FloatArray:
-    return np.linalg.solve(Q, right[:, :, None])[:, :, 0]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
