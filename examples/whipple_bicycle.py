@@ -1,6 +1,6 @@
 """A bicycle that leans as it is told: wheels that roll, two motors, one on the steer and one on the rear wheel.
 
-The benchmark bicycle of Meijaard et al. (2007) without its small angles. The robot is a tree whose first six joints carry
+The benchmark bicycle of Meijaard et al. (2007), at angles of any size. The robot is a tree whose first six joints carry
 the rear wheel freely; passive constraints hold both wheels on the ground (holonomic) and let them roll (nonholonomic).
 Steering alone makes the bicycle lean, and the steer, which no constraint prescribes, settles where the turn needs it.
 """
@@ -11,7 +11,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-
 import servogen as sg
 
 RADII = {"rear": 0.3, "front": 0.35}  # m
