@@ -9,8 +9,10 @@ import numpy as np
 
 from servogen import exact
 from servogen.exact_bounds import Optimum, best_within
+from servogen.exact_levels import lexicographic
 from servogen.ir.evaluate import DIGITS
-from servogen.law.steps import Apply, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
+from servogen.ir.numbers import as_fraction
+from servogen.law.steps import Apply, Cascade, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
 from servogen.results import FloatArray
 
 Values = dict[str, list[Any]]
@@ -46,6 +48,35 @@ def sparse_product(entries: list[Any], pattern: Pattern, vector: list[Any]) -> l
 def _solve(step: Solve | Apply, values: Values) -> list[Any]:
     l = len(values[step.matrix]) // len(values[step.right])
     return minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [mp.mpf(0)] * l))
+
+
+def _cascade(step: Cascade, values: Values) -> list[Any]:
+    """Level by level, of whatever rank, without rounding."""
+    m = len(values[step.right])
+    l = len(values[step.matrix]) // m
+    free = values.get(step.free, [mp.mpf(0)] * l)
+    if not all(mp.isfinite(x) for x in (*values[step.matrix], *values[step.right], *free)):
+        return [mp.nan] * l
+    best = lexicographic(
+        rational(values[step.matrix], m, l), rational(values[step.right], m, 1), rational(free, l, 1), step.levels
+    )
+    return column(best.x)
+
+
+def rational(values: list[Any], rows: int, columns: int) -> exact.Matrix:
+    """mpf values as exact rationals."""
+    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
+
+
+def _fmpq(value: Any) -> Any:
+    fraction = as_fraction(value)
+    return flint.fmpq(fraction.numerator, fraction.denominator)
+
+
+def column(x: exact.Matrix) -> list[Any]:
+    """A column of rationals as mpf."""
+    with mp.workdps(DIGITS):
+        return [mp.mpf(int(x[i, 0].p)) / int(x[i, 0].q) for i in range(x.nrows())]
 
 
 def _multiply(step: Multiply, values: Values) -> list[Any]:
@@ -128,12 +159,12 @@ def _limit(step: Limit, values: Values) -> list[Any]:
     best = admissible(
         numbers(step.matrix, len(z), l), z, y, lower, upper, numbers(step.slowed, -1), numbers(step.metric, l, l)
     )
-    with mp.workdps(DIGITS):
-        return [mp.mpf(int(best.x[j, 0].p)) / int(best.x[j, 0].q) for j in range(l)]
+    return column(best.x)
 
 
 EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {
     Solve: _solve,
+    Cascade: _cascade,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
