@@ -4,7 +4,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.ir.ops import operations
-from servogen.scene.constraints import ControlsInvolved, Holonomic, check_hurwitz, companion, theta_parts
+from servogen.scene.constraints import ControlsInvolved, check_hurwitz, decay_of, theta_parts
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import chains
 
@@ -45,8 +45,7 @@ def _theta_at_defaults(scene: Scene) -> list[str]:
         parts = theta_parts(c)
         if all(theta.is_constant() for theta in parts.values()):
             continue
-        matrix = companion(**parts) if isinstance(c, Holonomic) else parts["Theta"]
-        value = ca.Function("theta", symbols, [matrix])(*defaults)
+        value = ca.Function("theta", symbols, [decay_of(c)])(*defaults)
         if isinstance(c, ControlsInvolved) and value.is_zero():
             continue
         try:

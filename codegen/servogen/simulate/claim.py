@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray
-from servogen.scene.constraints import Constraint, expression_of
+from servogen.scene.constraints import Constraint, decay_of, expression_of
 from servogen.scene.domain import draw_states
 from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
@@ -191,4 +191,4 @@ def _sizes_of_psi(scene: Scene, parameters: Mapping[str, FloatArray]) -> FloatAr
 def _fastest(scene: Scene, constraint: Constraint, parameters: Mapping[str, FloatArray]) -> float:
     """The largest magnitude of an eigenvalue of what Theta prescribes, 1/s."""
     inputs = {f.name: np.zeros(f.size) for f in scene.input_fields()} | {"tau": np.zeros(scene.controls)}
-    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, constraint.decay, inputs | dict(parameters))))))
+    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, decay_of(constraint), inputs | dict(parameters))))))

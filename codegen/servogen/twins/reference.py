@@ -15,7 +15,7 @@ from servogen.derive.passive import independent_rows
 from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Output
 from servogen.scene.limits import INPUTS, Side
 from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import EXAMINED, draw_samples
@@ -55,7 +55,7 @@ def textbook_system(scene: Scene, solve: Solve, rows: bool = False) -> tuple[Any
 
     rows: of a product J Q^-1 X, Q is solved with for the rows of J, so that its second product is a short one.
     """
-    parts = _textbook_parts(scene)
+    parts = _textbook_parts(scene, solve)
     if scene.mechanism.passive:
         solve, shift = _constrained(scene, solve)
         parts["X"] = parts["X"] + ca.mtimes(parts["J"], shift)
@@ -374,7 +374,7 @@ class ReferenceIdeal(ReferenceTwin):
 
     def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
         self._reaction = policy_for(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
-        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene)[1])
+        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene).J)
         super().__init__(scene, scalar, noise)
 
     @staticmethod
@@ -585,7 +585,7 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
     mech = scene.mechanism
     fields = [*scene.input_fields(), *scene.parameters]
-    parts = _textbook_parts(scene)
+    parts = _textbook_parts(scene, lambda right: ca.solve(mech.Q, right))
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
@@ -602,15 +602,15 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     return ca.Function("textbook", [f.symbol for f in fields], list(parts.values())), names
 
 
-def _textbook_parts(scene: Scene) -> dict[str, Any]:
+def _textbook_parts(scene: Scene, solve: Solve) -> dict[str, Any]:
     """SX of what the formulas are made of: Q, P, G, and of the constraints, row under row, psi, J, X and so on."""
     mech = scene.mechanism
-    rows = [_constraint_parts(scene, c) for c in scene.constraints]
+    rows = [_constraint_parts(scene, c, solve) for c in scene.constraints]
     parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
     return parts | {"Q": mech.Q, "P": mech.P, "G": mech.G}
 
 
-def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
+def _constraint_parts(scene: Scene, c: Any, solve: Solve) -> dict[str, Any]:
     if isinstance(c, ControlsInvolved):
         return {
             "psi": c.phi,
@@ -619,6 +619,17 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
             "A": ca.jacobian(c.phi, scene.mechanism.tau),
             "prescribed": ca.mtimes(c.Theta, c.phi),
             "bends": ca.vertcat(*(ca.densify(ca.hessian(row, scene.mechanism.tau)[0]) for row in ca.vertsplit(c.phi))),
+        }
+    if isinstance(c, Output):
+        rates = [c.psi]
+        for _ in range(c.order - 1):
+            through = ca.mtimes(ca.jacobian(rates[-1], scene.mechanism.u), _free_motion(scene, solve))
+            rates.append(_drift(scene, rates[-1]) + through)
+        return {
+            "psi": c.psi,
+            "J": ca.jacobian(rates[-1], scene.mechanism.u),
+            "X": _drift(scene, rates[-1]),
+            "prescribed": sum(ca.mtimes(T, value) for T, value in zip(c.Theta, rates, strict=True)),
         }
     if isinstance(c, Holonomic):
         psi_dot = _drift(scene, c.psi)
@@ -635,6 +646,14 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
         "X": _drift(scene, c.psi),
         "prescribed": ca.mtimes(c.Theta, c.psi),
     }
+
+
+def _free_motion(scene: Scene, solve: Solve) -> Any:
+    """u' at tau = 0: no derivative of an output below its degree knows of tau."""
+    if not scene.mechanism.passive:
+        return solve(scene.mechanism.P)
+    held, shift = _constrained(scene, solve)
+    return held(scene.mechanism.P) + shift
 
 
 def _passive_parts(scene: Scene) -> dict[str, Any]:

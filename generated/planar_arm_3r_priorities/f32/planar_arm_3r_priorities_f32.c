@@ -406,7 +406,7 @@ static PLANAR_ARM_3R_PRIORITIES_F32_INLINE_WITH_VECTORS float planar_arm_3r_prio
 typedef struct planar_arm_3r_priorities_f32_normal {
     float lower[3]; /* L below its unit diagonal, row by row */
     float inverse[3]; /* 1 / D */
-    float square[3];  /* the squared lengths of the rows of B */
+    float bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } planar_arm_3r_priorities_f32_normal;
 
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -441,7 +441,7 @@ static int planar_arm_3r_priorities_f32_normal_factor(const float *B, planar_arm
     if (!(d_0 > PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -450,14 +450,14 @@ static int planar_arm_3r_priorities_f32_normal_factor(const float *B, planar_arm
     if (!(d_1 > PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     n_1_0 = planar_arm_3r_priorities_f32_abs(l_1_0);
     n_2_1 = planar_arm_3r_priorities_f32_abs(l_2_1);
     n_2_0 = planar_arm_3r_priorities_f32_abs(l_2_0) + planar_arm_3r_priorities_f32_abs(l_2_1) * n_1_0;
@@ -474,11 +474,9 @@ static int planar_arm_3r_priorities_f32_normal_factor(const float *B, planar_arm
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -516,6 +514,7 @@ typedef struct planar_arm_3r_priorities_f32_qr {
     float left[3];    /* squared length of at[k]->p */
     float inverse[3]; /* its inverse */
     float total;   /* |B|_F^2 */
+    float bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_priorities_f32_qr;
 
@@ -587,7 +586,7 @@ static void planar_arm_3r_priorities_f32_qr_factor(const float *B, planar_arm_3r
 
 /* Whether sigma_min(B) is proven to exceed 3.58e-06 |B|_F: sigma_min >= bound^(-1/2) - 2.9e-06 |B|_F, bound as above
    but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_priorities_f32_qr_certified(const planar_arm_3r_priorities_f32_qr *f)
+static int planar_arm_3r_priorities_f32_qr_certified(planar_arm_3r_priorities_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -605,6 +604,7 @@ static int planar_arm_3r_priorities_f32_qr_certified(const planar_arm_3r_priorit
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
+    f->bound = bound;
     /* the rank is that of S with every row brought to the size of the largest: sigma_min is no smaller, the norm is
        below */
     total = PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_TOTAL;
@@ -950,90 +950,54 @@ static PLANAR_ARM_3R_PRIORITIES_F32_NOINLINE int planar_arm_3r_priorities_f32_fa
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static PLANAR_ARM_3R_PRIORITIES_F32_NOINLINE float planar_arm_3r_priorities_f32_least(const float *lower,
-    const float *inverse, const float *square, float *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static PLANAR_ARM_3R_PRIORITIES_F32_INLINE_WITH_VECTORS float planar_arm_3r_priorities_f32_least(const float *lower,
+    const float *inverse, float share)
 {
-    const float k_1_0 = -(lower[0]);
-    const float k_2_1 = -(lower[2]);
-    const float k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float a_2_0 = inverse[2] * k_2_0;
-    const float a_2_1 = inverse[2] * k_2_1;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const float h_1 = inverse[1] + a_2_1 * k_2_1;
-    const float h_2 = inverse[2];
-    const float trace = (h_0) + (h_1 + h_2);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const float h_2_0 = (a_2_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const float h_2_1 = (a_2_1) * unit;
-    const float beside_1 = h_2_1 * h_2_1;
-    const float beside = beside_0 + beside_1;
-    const float apart_0 = h_0 * unit - 0.33333334f;
-    const float apart_1 = h_1 * unit - 0.33333334f;
-    const float apart_2 = h_2 * unit - 0.33333334f;
-    const float apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.33333334f + planar_arm_3r_priorities_f32_sqrt(0.6666667f * (2.0f * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const float k_2_0 = lower[2] * lower[0] - lower[1];
+    const float h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const float h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const float t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const float e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 4.3e-06 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float planar_arm_3r_priorities_f32_normal_least(const planar_arm_3r_priorities_f32_normal *f, const float *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 4.3e-06 times
+   |A+|_F^2. */
+static PLANAR_ARM_3R_PRIORITIES_F32_INLINE_WITH_VECTORS float planar_arm_3r_priorities_f32_normal_least(
+    const planar_arm_3r_priorities_f32_normal *f)
 {
-    float condition, least;
-    if (unit == NULL) {
-        least = planar_arm_3r_priorities_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = planar_arm_3r_priorities_f32_least(lower, inverse, square, &condition);
-    }
-    return planar_arm_3r_priorities_f32_sqrt(least
-        * (1.0f - PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_ROUNDING * condition));
+    return planar_arm_3r_priorities_f32_sqrt(
+        planar_arm_3r_priorities_f32_least(f->lower, f->inverse,
+        1.0f - PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float planar_arm_3r_priorities_f32_qr_least(const planar_arm_3r_priorities_f32_qr *f, const float *unit,
-    float *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static float planar_arm_3r_priorities_f32_qr_least(const planar_arm_3r_priorities_f32_qr *f, const float *unit)
 {
-    float lower[3], inverse[3], square[3];
-    float condition, least;
+    float lower[3], inverse[3];
+    float condition, least, share;
     int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 3) {
-        return 0.0f;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const planar_arm_3r_priorities_f32_line *const line = f->at[i];
         const float own = unit[line->row];
         const float size = 1.0f / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = planar_arm_3r_priorities_f32_least(lower, inverse, square, &condition);
-    condition = PLANAR_ARM_3R_PRIORITIES_F32_LEAST_SHARE
+    condition = f->bound * f->total;
+    least = planar_arm_3r_priorities_f32_least(lower, inverse, 1.0f);
+    /* what certainly remains */
+    share = PLANAR_ARM_3R_PRIORITIES_F32_LEAST_SHARE
         - PLANAR_ARM_3R_PRIORITIES_F32_LEAST_ROUNDING * planar_arm_3r_priorities_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return planar_arm_3r_priorities_f32_sqrt(least);
+    return share > 0.0f ? planar_arm_3r_priorities_f32_sqrt(least) * share : 0.0f;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1099,10 +1063,9 @@ static PLANAR_ARM_3R_PRIORITIES_F32_NOINLINE int planar_arm_3r_priorities_f32_fa
 static float planar_arm_3r_priorities_f32_sigma_bound(planar_arm_3r_priorities_f32_factors *f)
 {
     float unit[3];
-    float share;
     planar_arm_3r_priorities_f32_word least;
     int bottom = -PLANAR_ARM_3R_PRIORITIES_F32_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 6; ++i) {
         bottom = f->exponent[i] != PLANAR_ARM_3R_PRIORITIES_F32_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -1111,10 +1074,16 @@ static float planar_arm_3r_priorities_f32_sigma_bound(planar_arm_3r_priorities_f
         unit[i] = 1.0f; /* the rows of S have one unit */
     }
     if (f->path == PLANAR_ARM_3R_PRIORITIES_F32_PATH_NORMAL) {
-        least.value = planar_arm_3r_priorities_f32_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const float size = 1.0f / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = planar_arm_3r_priorities_f32_normal_least(&f->normal);
     } else {
-        least.value = planar_arm_3r_priorities_f32_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = planar_arm_3r_priorities_f32_qr_least(&f->qr, unit);
     }
     least.value = planar_arm_3r_priorities_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */

@@ -45,12 +45,12 @@
 /* singular values at or below this part of the largest count as zero */
 #define PLANAR_ARM_3R_PRIORITIES_RTOL 1.3322676295501878e-15
 #define PLANAR_ARM_3R_PRIORITIES_RTOL_SQUARE 1.7749370367472766e-30
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_0 1523
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_1 1523
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
-#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_2 1523
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_0 553 /* exponents of row 0's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_0 1493
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_1 553 /* exponents of row 1's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_1 1493
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_LOW_2 553 /* exponents of row 2's square with which nothing needs scaling */
+#define PLANAR_ARM_3R_PRIORITIES_SQUARE_HIGH_2 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define PLANAR_ARM_3R_PRIORITIES_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -439,7 +439,7 @@ static PLANAR_ARM_3R_PRIORITIES_INLINE_WITH_VECTORS double planar_arm_3r_priorit
 typedef struct planar_arm_3r_priorities_normal {
     double lower[3]; /* L below its unit diagonal, row by row */
     double inverse[3]; /* 1 / D */
-    double square[3];  /* the squared lengths of the rows of B */
+    double bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } planar_arm_3r_priorities_normal;
 
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -474,7 +474,7 @@ static int planar_arm_3r_priorities_normal_factor(const double *B, planar_arm_3r
     if (!(d_0 > PLANAR_ARM_3R_PRIORITIES_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -483,14 +483,14 @@ static int planar_arm_3r_priorities_normal_factor(const double *B, planar_arm_3r
     if (!(d_1 > PLANAR_ARM_3R_PRIORITIES_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > PLANAR_ARM_3R_PRIORITIES_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0 / d_2;
+i_2 = 1.0 / d_2;
     n_1_0 = planar_arm_3r_priorities_abs(l_1_0);
     n_2_1 = planar_arm_3r_priorities_abs(l_2_1);
     n_2_0 = planar_arm_3r_priorities_abs(l_2_0) + planar_arm_3r_priorities_abs(l_2_1) * n_1_0;
@@ -507,11 +507,9 @@ static int planar_arm_3r_priorities_normal_factor(const double *B, planar_arm_3r
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -548,6 +546,7 @@ typedef struct planar_arm_3r_priorities_qr {
     double left[3];    /* squared length of at[k]->p */
     double inverse[3]; /* its inverse */
     double total;   /* |B|_F^2 */
+    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_priorities_qr;
 
@@ -619,7 +618,7 @@ static void planar_arm_3r_priorities_qr_factor(const double *B, planar_arm_3r_pr
 
 /* Whether sigma_min(B) is proven to exceed 6.66e-15 |B|_F: sigma_min >= bound^(-1/2) - 5.3e-15 |B|_F, bound as above
    but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_priorities_qr_certified(const planar_arm_3r_priorities_qr *f)
+static int planar_arm_3r_priorities_qr_certified(planar_arm_3r_priorities_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -637,6 +636,7 @@ static int planar_arm_3r_priorities_qr_certified(const planar_arm_3r_priorities_
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
+    f->bound = bound;
     /* the rank is that of S with every row brought to the size of the largest: sigma_min is no smaller, the norm is
        below */
     total = PLANAR_ARM_3R_PRIORITIES_NORMAL_TOTAL;
@@ -982,89 +982,54 @@ static PLANAR_ARM_3R_PRIORITIES_NOINLINE int planar_arm_3r_priorities_factorise_
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static PLANAR_ARM_3R_PRIORITIES_NOINLINE double planar_arm_3r_priorities_least(const double *lower,
-    const double *inverse, const double *square, double *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static PLANAR_ARM_3R_PRIORITIES_INLINE_WITH_VECTORS double planar_arm_3r_priorities_least(const double *lower,
+    const double *inverse, double share)
 {
-    const double k_1_0 = -(lower[0]);
-    const double k_2_1 = -(lower[2]);
-    const double k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double a_2_0 = inverse[2] * k_2_0;
-    const double a_2_1 = inverse[2] * k_2_1;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const double h_1 = inverse[1] + a_2_1 * k_2_1;
-    const double h_2 = inverse[2];
-    const double trace = (h_0) + (h_1 + h_2);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const double h_2_0 = (a_2_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const double h_2_1 = (a_2_1) * unit;
-    const double beside_1 = h_2_1 * h_2_1;
-    const double beside = beside_0 + beside_1;
-    const double apart_0 = h_0 * unit - 0.3333333333333333;
-    const double apart_1 = h_1 * unit - 0.3333333333333333;
-    const double apart_2 = h_2 * unit - 0.3333333333333333;
-    const double apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.3333333333333333 + planar_arm_3r_priorities_sqrt(0.6666666666666667 * (2.0 * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const double k_2_0 = lower[2] * lower[0] - lower[1];
+    const double h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const double h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const double t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const double e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 8e-15 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double planar_arm_3r_priorities_normal_least(const planar_arm_3r_priorities_normal *f, const double *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 8e-15 times
+   |A+|_F^2. */
+static PLANAR_ARM_3R_PRIORITIES_INLINE_WITH_VECTORS double planar_arm_3r_priorities_normal_least(
+    const planar_arm_3r_priorities_normal *f)
 {
-    double condition, least;
-    if (unit == NULL) {
-        least = planar_arm_3r_priorities_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = planar_arm_3r_priorities_least(lower, inverse, square, &condition);
-    }
-    return planar_arm_3r_priorities_sqrt(least * (1.0 - PLANAR_ARM_3R_PRIORITIES_NORMAL_ROUNDING * condition));
+    return planar_arm_3r_priorities_sqrt(
+        planar_arm_3r_priorities_least(f->lower, f->inverse,
+        1.0 - PLANAR_ARM_3R_PRIORITIES_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double planar_arm_3r_priorities_qr_least(const planar_arm_3r_priorities_qr *f, const double *unit,
-    double *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static double planar_arm_3r_priorities_qr_least(const planar_arm_3r_priorities_qr *f, const double *unit)
 {
-    double lower[3], inverse[3], square[3];
-    double condition, least;
+    double lower[3], inverse[3];
+    double condition, least, share;
     int i, j, k;
-    *share = 0.0;
-    if (f->steps < 3) {
-        return 0.0;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const planar_arm_3r_priorities_line *const line = f->at[i];
         const double own = unit[line->row];
         const double size = 1.0 / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = planar_arm_3r_priorities_least(lower, inverse, square, &condition);
-    condition = PLANAR_ARM_3R_PRIORITIES_LEAST_SHARE
+    condition = f->bound * f->total;
+    least = planar_arm_3r_priorities_least(lower, inverse, 1.0);
+    /* what certainly remains */
+    share = PLANAR_ARM_3R_PRIORITIES_LEAST_SHARE
         - PLANAR_ARM_3R_PRIORITIES_LEAST_ROUNDING * planar_arm_3r_priorities_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return planar_arm_3r_priorities_sqrt(least);
+    return share > 0.0 ? planar_arm_3r_priorities_sqrt(least) * share : 0.0;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1129,10 +1094,9 @@ static PLANAR_ARM_3R_PRIORITIES_NOINLINE int planar_arm_3r_priorities_factorise(
 static double planar_arm_3r_priorities_sigma_bound(planar_arm_3r_priorities_factors *f)
 {
     double unit[3];
-    double share;
     planar_arm_3r_priorities_word least;
     int bottom = -PLANAR_ARM_3R_PRIORITIES_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 6; ++i) {
         bottom = f->exponent[i] != PLANAR_ARM_3R_PRIORITIES_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -1141,10 +1105,16 @@ static double planar_arm_3r_priorities_sigma_bound(planar_arm_3r_priorities_fact
         unit[i] = 1.0; /* the rows of S have one unit */
     }
     if (f->path == PLANAR_ARM_3R_PRIORITIES_PATH_NORMAL) {
-        least.value = planar_arm_3r_priorities_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const double size = 1.0 / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = planar_arm_3r_priorities_normal_least(&f->normal);
     } else {
-        least.value = planar_arm_3r_priorities_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = planar_arm_3r_priorities_qr_least(&f->qr, unit);
     }
     least.value = planar_arm_3r_priorities_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
