@@ -217,5 +217,7 @@ def test_priorities_that_make_no_sense() -> None:
     two = [sg.Nonholonomic("a", u[0], Theta=-1), sg.Nonholonomic("b", u[1], Theta=-1, priority=1)]
     with pytest.raises(sg.SceneError, match="mode='ideal' takes all constraints alike"):
         sg.Scene("s", body, two, mode="ideal")
+    with pytest.raises(sg.SceneError, match="limits with priorities are not built"):
+        sg.Scene("s", body, two, limits=sg.Limits(-1, 1))
     with pytest.raises(sg.SceneError, match="with priorities is not built; leave out core"):
         sg.build(sg.Scene("s", body, two), core="servogen_core")

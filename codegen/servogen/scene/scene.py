@@ -243,6 +243,11 @@ def _check_limits(scene: Scene) -> None:
             f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
             "leave out limits"
         )
+    if len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, or leave out "
+            "limits"
+        )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
         if isinstance(side, Side) and ca.depends_on(side.expression, scene.mechanism.tau):
