@@ -86,7 +86,8 @@ def _control(m: FloatArray, t: float, x: FloatArray) -> FloatArray:
     wanted = _reference(t)[2] + _THETA1 * psi_dot + _THETA2 * psi
     S = np.swapaxes(np.linalg.solve(Q, np.swapaxes(J, 1, 2)), 1, 2)  # Q is symmetric
     z = wanted - drift + np.einsum("nij,nj->ni", S, bias)
-    return np.einsum("nij,nj->ni", np.linalg.pinv(S), z)
+    tau: FloatArray = np.einsum("nij,nj->ni", np.linalg.pinv(S), z)
+    return tau
 
 
 def _arm(m: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:

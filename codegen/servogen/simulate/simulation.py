@@ -157,6 +157,15 @@ def units_of_entries(unit: str | None, count: int) -> tuple[str, ...]:
     return parts * count if len(parts) == 1 else parts
 
 
+def with_units_of_rates(scene: Scene, simulation: Simulation) -> Simulation:
+    """Where u is q' and only q's units are told, u's are those per second."""
+    units, u, q_dot = simulation.units, scene.mechanism.u, scene.mechanism.q_dot
+    if "u" in units or "q" not in units or u.shape != q_dot.shape or not ca.is_equal(q_dot, u):
+        return simulation
+    per_second = (f"{unit or '1'}/s" for unit in units_of_entries(units["q"], units["q"].count(",") + 1))
+    return replace(simulation, units={**units, "u": ", ".join(per_second)})
+
+
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
     """SceneError where the simulation names what the scene does not have."""
     known = {s.__hash__() for _, symbol in known_symbols(scene) for s in symbol.nonzeros()}
