@@ -63,7 +63,7 @@ X = Instr("input", (), ("x", 0))
         ((Input("x", 1),), (Instr("const", (), None),), (), "instruction 0: const"),
         ((Input("x", 1),), (Instr("const", (), ("x", 0)),), (), "instruction 0: const"),
         ((Input("x", 1),), (X, Instr("const", (0,), Fraction(1))), (), "instruction 1: const"),
-        ((Input("x", 1),), (X, Instr("erf", (0,))), (), "instruction 1: erf"),
+        ((Input("x", 1),), (X, Instr("erfinv", (0,))), (), "instruction 1: erfinv"),
         ((Input("x", 1),), (X, Instr("add", (0,))), (), "instruction 1: add"),
         ((Input("x", 1),), (X, Instr("sin", (0, 0))), (), "instruction 1: sin"),
         ((Input("x", 1),), (X, Instr("sin", (0,), Fraction(1))), (), "instruction 1: sin"),
@@ -179,8 +179,10 @@ def test_sparse_matrices_are_filled_with_zeros() -> None:
 
 def test_lowering_refuses_what_has_no_row() -> None:
     x = ca.SX.sym("x")
-    with pytest.raises(sg.SceneError, match=rf"routine f, instruction \d: op erf \(CasADi id {ca.OP_ERF}\).*ir/ops.py"):
-        lower_expressions("f", [(Input("x", 1), x)], [("o", ca.erf(x))])
+    with pytest.raises(
+        sg.SceneError, match=rf"routine f, instruction \d: op erfinv \(CasADi id {ca.OP_ERFINV}\).*ir/ops.py"
+    ):
+        lower_expressions("f", [(Input("x", 1), x)], [("o", ca.erfinv(x))])
     with pytest.raises(sg.SceneError, match="constant is inf"):
         lower_expressions("f", [(Input("x", 1), x)], [("o", x + ca.inf)])
 

@@ -126,6 +126,11 @@ def _remainder(a: Any, b: Any) -> Any:
     return one(a, b).astype(np.result_type(a, b))
 
 
+def _erf(a: Any) -> Any:
+    """C's erf; numpy has none."""
+    return np.vectorize(math.erf, otypes=[float])(a).astype(np.asarray(a).dtype)
+
+
 _ROWS = (
     Op("add", 2, ca.OP_ADD, "{0} + {1}", np.add, lambda a, b: a + b, lambda a, b: a + b,
        lambda a, b, v: (np.ones_like(a), np.ones_like(b)), 0.5, commutative=True,
@@ -172,6 +177,8 @@ _ROWS = (
        lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0, telling=(0,)),
     Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, arb.atanh, _at_zero(0),
        lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0, parity="odd"),
+    Op("erf", 1, ca.OP_ERF, "erf{f}({0})", _erf, arb.erf, _at_zero(0),
+       lambda a, v: (2.0 / math.sqrt(math.pi) * np.exp(-a * a),), 1.0, parity="odd"),
     Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, lambda a, b: a**b, _exact_pow, _pow_partials, 1.0),
     Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, lambda a, b: (a * a + b * b).sqrt(), None,
        lambda a, b, v: (_safe(a, v), _safe(b, v)), 1.0, commutative=True, telling=(0, 1)),
