@@ -11,7 +11,7 @@ from scipy.linalg import eig
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """x' = A x + B tau, psi = K x with x = (q, u); K of u alone where `speeds`, else of q. All of small integers but A."""
+    """x' = A x + B tau, psi = K x with x = (q, u); K of u alone where `speeds`, else of q. Small integers but A."""
 
     A: Any
     B: Any

@@ -245,8 +245,8 @@ def _check_limits(scene: Scene) -> None:
         )
     if len(scene.levels) > 1:
         raise SceneError(
-            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, or leave out "
-            "limits"
+            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, "
+            "or leave out limits"
         )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
