@@ -9,7 +9,7 @@ import pytest
 import servogen as sg
 from servogen.simulate.claim import claim_of
 from servogen.simulate.closed_loop import ClosedLoop, simulate
-from servogen.simulate.simulation import units_of_entries, with_units_of_rates
+from servogen.simulate.simulation import check_simulation, units_of_entries, with_units_of_rates
 from servogen.simulate.trajectory import Stop
 from servogen.simulate.verdict import judge
 from servogen.simulate.wanted import load_simulation
@@ -206,8 +206,9 @@ def test_units_by_entry():
     assert units_of_entries("rad", 2) == ("rad", "rad")
     assert units_of_entries("m, rad", 2) == ("m", "rad")
     assert units_of_entries(None, 3) == ("", "", "")
-    with pytest.raises(sg.SceneError, match=r"units\['psi'\] = 'm, rad' tells 2 units of 1 entries"):
-        ClosedLoop(oscillator(), sg.Simulation(units={"psi": "m, rad"}))
+    assert units_of_entries("N, N m", 3) == ("N, N m",) * 3
+    with pytest.warns(sg.Remark, match=r"units\['psi'\] = 'm, rad' tells 2 units of 1 entries"):
+        check_simulation(oscillator(), sg.Simulation(units={"psi": "m, rad"}))
 
 
 def test_limits_of_a_scene_count_from_the_first_row_on_and_between_ticks():
