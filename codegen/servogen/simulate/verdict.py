@@ -125,7 +125,8 @@ def _outline(run: "Trajectory", off: "_Off") -> Outline:
     """The bare facts of the rows."""
 
     def first(rows: Any) -> int | None:
-        return int(np.argmax(rows)) if np.any(rows) else None
+        found = np.flatnonzero(rows)
+        return int(found[0]) if len(found) else None
 
     return Outline(
         rows=len(run.t),
