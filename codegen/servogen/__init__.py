@@ -4,6 +4,7 @@ The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints B
 """
 
 from servogen import mjcf, urdf
+from servogen.analysis.analyse import Analysis, analyse
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
 from servogen.fmu.unit import build_fmu
@@ -25,6 +26,7 @@ __version__ = VERSION
 
 __all__ = [
     "Actuators",
+    "Analysis",
     "Batch",
     "Control",
     "ControlsInvolved",
@@ -49,6 +51,7 @@ __all__ = [
     "Solver",
     "Status",
     "__version__",
+    "analyse",
     "build",
     "build_fmu",
     "build_solver",

@@ -98,4 +98,4 @@ class Drift:
                 last = self._levels[-1]
                 right = -self._rate(ca.mtimes(mech.Q, last.symbol) - last.right, what, len(self._levels))
             value, _ = solve_with_mass(self._scene, self._found, right)
-            self._levels.append(_Level(ca.SX.sym("a", mech.u.size1()), right, value))
+            self._levels.append(_Level(ca.SX.sym("a", mech.u.size1()), right, ca.densify(value)))

@@ -117,7 +117,7 @@ def render_core(
     name: str, users: Mapping[str, Mapping[str, core.Block]], scalars: Sequence[Scalar]
 ) -> tuple[SourceFile, ...]:
     """<name>.h, <name>.c and CMakeLists.txt of a core. users: by prefix, what they need; scalars: theirs."""
-    blocks = core.ordered({b.names: b for needed in users.values() for b in needed.values()}.values())
+    blocks = core.ordered(core.merged(b for needed in users.values() for b in needed.values()))
     context = {
         "core": name,
         "C": name.upper(),
@@ -126,8 +126,10 @@ def render_core(
         "infos": [(Target(s, name).real, core.info_type(name, s)) for s in EPSILON if s in scalars],
         "statuses": statuses(),
         "paths": paths(),
-        "inside": [core.prototype(b) if b.kind == "function" else b.text for b in blocks],
-        "functions": [b.text for b in blocks if b.kind == "function"],
+        "inside": [
+            core.prototype(b) if b.kind == "function" else b.text for b in blocks if b.kind != "function" or b.named
+        ],
+        "functions": [b.text if b.named else core.hidden(b) for b in blocks if b.kind == "function"],
     }
     found = {f"{name}.h": "core.h.j2", f"{name}.c": "core.c.j2", "CMakeLists.txt": "core_CMakeLists.txt.j2"}
     return tuple(SourceFile(n, environment().get_template(t).render(context)) for n, t in found.items())

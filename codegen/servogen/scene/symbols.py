@@ -72,9 +72,9 @@ def _numbers(field: Field) -> str:
     return numbers if field.size == 1 else f"[{numbers}]"
 
 
-def _suffix(k: int) -> str:
-    """Of the input that is a reference's k-th derivative."""
-    return ("", "_dot", "_ddot")[k] if k < 3 else f"_d{k}"
+def derivative_name(name: str, k: int) -> str:
+    """Of the input that is a k-th derivative: r, r_dot, r_ddot, r_d3, r_d4 and so on."""
+    return name + ("", "_dot", "_ddot")[k] if k < 3 else f"{name}_d{k}"
 
 
 def derived(symbol: str, k: int) -> str:
@@ -160,7 +160,7 @@ class References:
             default = _default(ref.default, f"reference {name!r}")
             chain = []
             for k in range(ref.order + 1):
-                full = name + _suffix(k)
+                full = derivative_name(name, k)
                 check_field_name(full, "reference")
                 if full in self._fields:
                     raise SceneError(f"reference {full!r} collides with another reference's derivative; rename one")

@@ -47,7 +47,7 @@ def _remedy(samples: Samples, found: MassFindings, row: int) -> str:
     moving = [s for s in (mech.q, mech.u, mech.t) if s is not None]
     if not any(ca.depends_on(expression, s) for s in (*moving, mech.tau)):
         return "It depends on no state: write it as a function of q and u"
-    if scene.kind != "servo":
+    if not scene.system.of_outputs:
         free = constraint.order == 1 and not ca.depends_on(expression, ca.vertcat(mech.u, mech.tau))
         return "It is a function of q alone: declare it as sg.Holonomic" if free else "Constrain what does change"
     most = mech.q.size1() + mech.u.size1()
