@@ -213,8 +213,8 @@ def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
-    if len(scene.levels) > 1:
-        text.append(repr(scene.levels))
+    if scene.cascaded:
+        text.append(repr((scene.levels, scene.switches)))
     if scene.sides is not None:
         text += [
             scene.sides.policy,

@@ -229,6 +229,8 @@ class _Off:
 
 def _off(run: "Trajectory") -> _Off:
     claim = run.claim
+    if not np.any(np.isfinite(claim.tolerance)):
+        return _Off(None, False, "nothing is claimed of constraints that come and go")
     deviation = np.abs(run.constraint - run.ideal).astype(float)
     share = deviation / claim.tolerance
     largest = share.max(axis=1)
