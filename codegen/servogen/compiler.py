@@ -9,6 +9,7 @@ import numpy as np
 
 from servogen.derive.derive import derive
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.lie import Drift
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
@@ -28,6 +29,7 @@ from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.survey.definiteness import survey_mass, survey_weight
+from servogen.survey.degree import survey_degree
 from servogen.survey.noise import survey_noise
 from servogen.survey.reach import survey_reach, survey_values
 from servogen.twins.reference import ReferenceTwin, reference_twin
@@ -61,10 +63,11 @@ def build(
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    if core is not None and scene.sides is not None:
-        raise SceneError(
-            f"scene {scene.name!r}: a core (core={core!r}) with limits is not built; leave out core for this scene"
-        )
+    for what, given in (("limits", scene.sides is not None), ("priorities", len(scene.levels) > 1)):
+        if core is not None and given:
+            raise SceneError(
+                f"scene {scene.name!r}: a core (core={core!r}) with {what} is not built; leave out core for this scene"
+            )
     target = target_for(scene.name, scalar, prefix, math, core)
     module = compile_scene(scene, target, entry_points=entry_points)
     if casadi_abi and not module.law.has("control"):
@@ -108,12 +111,19 @@ def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
     samples, model = draw_samples(scene), lower_model(scene)
     found = survey_mass(samples, model)
     survey_weight(samples, model)
+    survey_degree(samples, found)
     formulation = derive(samples, found)
     survey_values(samples, formulation)
     lowered = lower(formulation)
-    remarks = found.remarks + formulation.remarks + survey_reach(samples, formulation, lowered)
+    remarks = found.remarks + formulation.remarks + survey_reach(samples, formulation, lowered, found)
     told = tuple(f"scene {scene.name!r}: {text}" for text in remarks)
     return replace(formulation, remarks=told), lowered
+
+
+def motion_of(scene: Scene) -> Drift:
+    """The scene's motion at tau = 0, to differentiate along."""
+    samples = draw_samples(scene)
+    return Drift(samples, survey_mass(samples, lower_model(scene)))
 
 
 def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:

@@ -177,7 +177,7 @@ _ROWS = (
        lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0, telling=(0,)),
     Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, arb.atanh, _at_zero(0),
        lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0, parity="odd"),
-    Op("erf", 1, ca.OP_ERF, "erf{f}({0})", _erf, lambda a: a.erf(), _at_zero(0),
+    Op("erf", 1, ca.OP_ERF, "erf{f}({0})", _erf, arb.erf, _at_zero(0),
        lambda a, v: (2.0 / math.sqrt(math.pi) * np.exp(-a * a),), 1.0, parity="odd"),
     Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, lambda a, b: a**b, _exact_pow, _pow_partials, 1.0),
     Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, lambda a, b: (a * a + b * b).sqrt(), None,

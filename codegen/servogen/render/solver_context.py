@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from servogen.plan.bounds import BoundPlan
+from servogen.plan.cascade import CascadePlan
 from servogen.plan.solver import SolverPlan
 from servogen.results import OF_LIMITS, OF_PASSIVE, PATH_MEANING, STATUS_MEANING, Path, Status
 from servogen.scalars import BITS
@@ -17,12 +18,11 @@ def solver_context(
     prefix: str,
     literal: Callable[[float], str],
     bound: BoundPlan | None = None,
+    cascade: CascadePlan | None = None,
     joins: bool = False,
 ) -> dict[str, Any]:
-    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound: of limits, if there are.
-
-    joins: whether there are passive constraints.
-    """
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound, cascade: of limits
+    and priorities, if there are. joins: whether there are passive constraints."""
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -34,6 +34,7 @@ def solver_context(
         "solved": PLAIN,
         "lit": literal,
         "bound": bound,
+        "cascade": cascade,
         "statuses": statuses(bound is not None, joins),
         "paths": paths(),
     }

@@ -1034,28 +1034,6 @@ static int skewed_thrusters_f32_refuse(int status, skewed_thrusters_f32_info *in
     return status;
 }
 
-/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float skewed_thrusters_f32_norm(const float *v)
-{
-    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
-    const uint32_t biased = skewed_thrusters_f32_magnitude(square) >> SKEWED_THRUSTERS_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= SKEWED_THRUSTERS_F32_ANSWER_LOW && biased <= SKEWED_THRUSTERS_F32_ANSWER_HIGH) {
-        return skewed_thrusters_f32_sqrt(square);
-    }
-    unit = skewed_thrusters_f32_exponent(skewed_thrusters_f32_largest(v, 6));
-    if (unit == SKEWED_THRUSTERS_F32_NO_EXPONENT) {
-        return 0.0f;
-    }
-    square = 0.0f;
-    for (i = 0; i < 6; ++i) {
-        const float part = skewed_thrusters_f32_shift(v[i], -unit);
-        square += part * part;
-    }
-    return skewed_thrusters_f32_shift(skewed_thrusters_f32_sqrt(square), unit);
-}
-
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
    from those given by their rounding alone,
    |z_i - S_i tau| <= SKEWED_THRUSTERS_F32_CONSISTENCY (|S_i| (|tau| + |y|) + |z_i|).
@@ -1864,6 +1842,42 @@ int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f3
     return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
 }
 
+/* A row times a column, in four sums side by side. */
+static SKEWED_THRUSTERS_F32_INLINE_WITH_VECTORS float skewed_thrusters_f32_known_row(const float *row,
+    const float *column)
+{
+    float sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = row[k] * column[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += row[k + 4] * column[k + 4];
+    }
+    return ((sum[0] + sum[2]) + (sum[1] + sum[3]));
+}
+
+/* |z - S tau|. */
+static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_known_residual(const float *S, const float *z,
+    const float *y, const float *tau)
+{
+    const float rest_0 = z[0] - skewed_thrusters_f32_known_row(S, tau);
+    const float rest_1 = z[1] - skewed_thrusters_f32_known_row(S + 8, tau);
+    const float rest_2 = z[2] - skewed_thrusters_f32_known_row(S + 16, tau);
+    const float rest_3 = z[3] - skewed_thrusters_f32_known_row(S + 24, tau);
+    const float rest_4 = z[4] - skewed_thrusters_f32_known_row(S + 32, tau);
+    const float rest_5 = z[5] - skewed_thrusters_f32_known_row(S + 40, tau);
+    const float square = (rest_0 * rest_0 + rest_1 * rest_1 + rest_2 * rest_2)
+        + (rest_3 * rest_3 + rest_4 * rest_4 + rest_5 * rest_5);
+    float residual;
+    if (skewed_thrusters_f32_within(skewed_thrusters_f32_biased_square(square), SKEWED_THRUSTERS_F32_ANSWER_LOW,
+            SKEWED_THRUSTERS_F32_ANSWER_HIGH)) {
+        return skewed_thrusters_f32_sqrt(square);
+    }
+    (void)skewed_thrusters_f32_consistent(S, z, y, tau, &residual); /* zero, or something has left the range */
+    return residual;
+}
+
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
 static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
     const skewed_thrusters_f32_info *known, const float *z, const float *y, float *tau,
@@ -1901,17 +1915,7 @@ static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
             status = SKEWED_THRUSTERS_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     } else if (info != NULL) {
-        for (i = 0; i < 6; ++i) {
-            rest[i] = z[i];
-            for (j = 0; j < 8; ++j) {
-                rest[i] -= S[8 * i + j] * found[j];
-            }
-        }
-        residual = skewed_thrusters_f32_norm(rest);
-        /* a product has left the range */
-        if (skewed_thrusters_f32_magnitude(residual) >= SKEWED_THRUSTERS_F32_INFINITY_BITS) {
-            (void)skewed_thrusters_f32_consistent(S, z, y, found, &residual);
-        }
+        residual = skewed_thrusters_f32_known_residual(S, z, y, found);
     }
     if (info != NULL) {
         *info = *known;
