@@ -3,7 +3,7 @@
 The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints Based on the Generalized Inverse" (2004).
 """
 
-from servogen import urdf
+from servogen import mjcf, urdf
 from servogen.analysis.analyse import Analysis, analyse
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
@@ -55,6 +55,7 @@ __all__ = [
     "build",
     "build_fmu",
     "build_solver",
+    "mjcf",
     "reference",
     "urdf",
 ]

@@ -45,6 +45,7 @@ def build(
     casadi_abi: bool = False,
     entry_points: Sequence[str] | None = None,
     core: str | None = None,
+    batch: bool = False,
 ) -> Package:
     """Generate the C of a scene.
 
@@ -56,6 +57,8 @@ def build(
     core: a name, "servogen_core" say: what controllers of one image can share (types of status and info, solvers of
     equal shapes and options, sin, cos and sqrt) goes into <core>.h and .c in the folder <core> beside `out`, which
     each package with that core extends; the answers are the same bits.
+    batch: also <prefix>_batch.h and .c, the control function of many states at once, by vectors: the same bits, on one
+    core of a PC with AVX2 several times as many states a second; `control_batch` of the loaded package then calls it.
     Raises SceneError for anything wrong with the scene, and for an entry point that it does not have; warns with an
     sg.Remark of what is odd and yet no error.
     """
@@ -70,8 +73,12 @@ def build(
         raise SceneError(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
+    if batch and not module.law.has("control"):
+        raise SceneError(
+            "batch: it is control that is done for many states; add it to entry_points, or leave out batch"
+        )
     remarks = review(scene) + derived_scene(scene)[0].remarks
-    files, shared = render_with_core(module, casadi_abi)
+    files, shared = render_with_core(module, casadi_abi, batch)
     package = write(files, out, module, scene, remarks, shared if core else None)
     say(remarks)
     return package
@@ -136,10 +143,12 @@ def build_solver(
     *,
     math: Math = "own",
     limits: bool = False,
+    batch: bool = False,
 ) -> Package:
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12.
 
     limits: solve takes lower and upper, (l,) each, and answers with least squares within them; not with damping.
+    batch: also <prefix>_batch.h and .c, solve of many systems at once, by vectors: the same bits; not with limits.
     SceneError for other shapes, and for a solver that is no sg.Solver.
     """
     solver = Solver() if solver is None else solver
@@ -147,9 +156,11 @@ def build_solver(
         raise SceneError(f"sg.build_solver: solver is {type(solver).__name__}; give an sg.Solver(...)")
     if not all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in (m, l)):
         raise SceneError(f"sg.build_solver({m!r}, {l!r}): give the rows and the columns of S as whole numbers, 1 to 12")
+    if batch and limits:
+        raise SceneError("sg.build_solver: many systems at once with limits are not built; leave out batch or limits")
     m, l = int(m), int(l)
     module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver, bool(limits))
-    return write(render(module), out, module, None)
+    return write(render(module, batch=batch), out, module, None)
 
 
 def build_plant(

@@ -5,7 +5,7 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 
-from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import DIGITS
 from servogen.results import FloatArray
 
 

@@ -87,7 +87,19 @@ class SolverPlan(Layout):
 
         In hundredths, rounded down.
         """
-        return math.floor(100 * math.sqrt(2 / (1 + math.sqrt(self.count)))) / 100
+        n = self.count
+        squared = 2 / (n + 1) if n < 4 else 2 / (1 + math.sqrt(n))
+        return math.floor(100 * math.sqrt(squared)) / 100
+
+    @property
+    def sigma_left(self) -> float:
+        """What certainly remains of sigma_min in the bound, rounding taken off where a certificate barely held.
+
+        In hundredths, rounded down.
+        """
+        normal = math.sqrt(1 - self.normal_rounding * self.normal_limit)
+        qr = self.least_share - self.least_rounding * math.sqrt(self.qr_limit)
+        return math.floor(100 * self.sigma_share * max(0.0, min(normal, qr))) / 100
 
     @property
     def mean_share(self) -> float:

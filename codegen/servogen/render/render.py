@@ -31,6 +31,7 @@ from servogen.plan.operations import known_operations, solver_operations
 from servogen.render import core
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
+from servogen.render.lanes import lanes_context
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
 from servogen.render.solver_context import PLAIN, paths, solver_context, statuses
@@ -65,16 +66,17 @@ def environment(folder: str = "render") -> Environment:
     return templates
 
 
-def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
+def render(module: Module, casadi_abi: bool = False, batch: bool = False) -> tuple[SourceFile, ...]:
     """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant.
 
     casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
+    batch: also <prefix>_batch.h and .c, many states at once.
     """
-    return render_with_core(module, casadi_abi)[0]
+    return render_with_core(module, casadi_abi, batch)[0]
 
 
 def render_with_core(
-    module: Module, casadi_abi: bool = False
+    module: Module, casadi_abi: bool = False, batch: bool = False
 ) -> tuple[tuple[SourceFile, ...], Mapping[str, core.Block]]:
     """The files, and what they need of the target's core; nothing where it has none."""
     _check_defaults(module)
@@ -89,11 +91,16 @@ def render_with_core(
     files = [
         SourceFile(f"{prefix}.h", folded(templates.get_template(f"{kind}.h.j2").render(context))),
         SourceFile(f"{prefix}.c", folded(source)),
-        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
+        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context | {"batch": batch})),
     ]
     if casadi_abi:
         shim = templates.get_template("casadi.c.j2").render(context | _shim(module))
         files.append(SourceFile(f"{prefix}_casadi.c", shim))
+    if batch:
+        lanes = context | lanes_context(module)
+        files.append(SourceFile(f"{prefix}_batch.h", folded(templates.get_template("batch.h.j2").render(lanes))))
+        many = without_unused(templates.get_template("batch.c.j2").render(lanes))
+        files.append(SourceFile(f"{prefix}_batch.c", folded(many)))
     return (*files, SourceFile("manifest.json", _manifest(module, files))), blocks
 
 

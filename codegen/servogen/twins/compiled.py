@@ -1,6 +1,7 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
+import platform
 import struct
 import tempfile
 from dataclasses import replace
@@ -32,6 +33,15 @@ void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, 
         {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, {at}tau + k * {l}, info + k);
     }}
 }}
+"""
+_BATCH = """
+#include "{p}_batch.h"
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+{{
+    {p}_solve_batch(S, z, y, (size_t)n, tau, info, NULL);
+}}
+"""
+_PINV_STACK = """
 void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 {{
     long k;
@@ -57,14 +67,18 @@ class Built(Protocol):
     def core(self) -> FilePath | None: ...
 
 
-def stack_source(module: Module) -> str:
-    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
+def stack_source(module: Module, batch: bool = False) -> str:
+    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's.
+
+    batch: the package has solve for many systems itself.
+    """
     real, shape = module.target.real, _shape(module)
     limits, at = "", ""
     if module.limits is not None:
         limits = f"const {real} *lower, const {real} *upper, "
         at = "lower + k * {l}, upper + k * {l}, ".format(**shape)
-    return _STACK.format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
+    solve = _BATCH if batch else _STACK
+    return (solve + _PINV_STACK).format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
 
 
 def load_package(
@@ -74,7 +88,8 @@ def load_package(
     module = package.module
     if package.scene is None:
         kind = CompiledSolver if module.limits is None else LimitedSolver
-        return kind(module, compile_library(package, compiler, flags, stack_source(module)))
+        stacks = stack_source(module, _batch_of(package).is_file())
+        return kind(module, compile_library(package, compiler, flags, stacks))
     library = compile_library(package, compiler, flags)
     return CompiledTwin(package.scene, module, library)
 
@@ -96,6 +111,10 @@ def build_library(
     if package.core is not None:
         sources.append(str(package.core / f"{package.module.target.core}.c"))
         folders.append(f"-I{package.core}")
+    native: list[str] = []
+    if _batch_of(package).is_file():
+        sources.append(str(_batch_of(package)))
+        native = ["-march=native"] if platform.machine() in ("x86_64", "AMD64") else []  # vectors as long as they come
     if extra:
         beside = folder / "extra.c"
         beside.write_text(extra)
@@ -103,8 +122,13 @@ def build_library(
     sources += [word for word in flags if word.endswith(".c")]
     chosen = [word for word in flags if not word.endswith(".c")]
     more = ["-fPIC", "-shared", *folders, *sources, "-o", str(library), "-lm"]
-    compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
+    compile_c(command, [*CROSS_CHECK_FLAGS, *native, *chosen], more, f"{package.prefix}.c")
     return library
+
+
+def _batch_of(package: Built) -> FilePath:
+    """The C that does control, or solve, for many states by vectors; there if the package was built with batch."""
+    return package.path / f"{package.prefix}_batch.c"
 
 
 def _shape(module: Module) -> dict[str, int]:
@@ -294,7 +318,7 @@ class CompiledTwin(Twin):
         status = run(self._call(entry, *numbers), states, value, info, threads)
         info["status"] = status  # prepare's, where it refused a state's parameters
         info[status < 0] = _refused(info.dtype, status[status < 0])
-        members = {n: np.ascontiguousarray(info[n]) for n in info.dtype.names or ()}
+        members = {n: info[n] for n in info.dtype.names or ()}
         if "scale" not in members:
             members |= {"scale": (status >= 0).astype(self.dtype), "active": np.zeros(states.count, np.int32)}
         return Batch(value, **members)
@@ -306,7 +330,12 @@ class CompiledTwin(Twin):
 
     def _call(self, entry: str, dt: float | None = None) -> Call:
         parameters, inputs = ([f.name for f in fields] for fields in (self._module.parameters, self._module.inputs))
-        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt)
+        many = getattr(self._library, f"{self._module.target.prefix}_control_batch") if self._by_many(entry) else None
+        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt, many)
+
+    def _by_many(self, entry: str) -> bool:
+        """Whether the package has its control function for many states, too (sg.build with batch)."""
+        return entry == "control" and hasattr(self._library, f"{self._module.target.prefix}_control_batch")
 
 
 def _refused(dtype: np.dtype[Any], status: Any) -> Any:

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import flint
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
-from servogen.ir.evaluate import DIGITS
+from servogen.ir.balls import ZERO, Ball, all_finite, ball, balls, working
 from servogen.ir.numbers import as_fraction
 from servogen.law.steps import STATE, Advance, Apply, Limit, Multiply, React, Solve, Step
 from servogen.results import FloatArray, Info, Status
@@ -28,7 +27,7 @@ BAR = 8.0
 
 _TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
 
-Exact = list[Any]  # mpf values, row by row
+Exact = list[Ball]  # row by row
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ class Surroundings:
 
 def unknown(size: int, status: int = ANY_ANSWER, rank: int = ANY_RANK) -> Answer:
     """An answer of which nothing but perhaps the status is known."""
-    return Answer([mp.mpf(0)] * size, np.inf, status, rank)
+    return Answer([ZERO] * size, np.inf, status, rank)
 
 
 def worse(first: int, second: int) -> int:
@@ -198,10 +197,10 @@ def answer_of(step: Step, at: Surroundings) -> Answer:
 
 def advanced(step: Advance, start: FloatArray, rate: Answer, dt: float) -> tuple[Exact, float]:
     """start + dt rate, and the 2-norm of the error it comes with; where the rate is not known, the start."""
-    with mp.workdps(DIGITS):
-        values = [mp.mpf(float(x)) for x in start]
-        if not rate.known:
-            return values, np.inf
+    values = balls(start)
+    if not rate.known:
+        return values, np.inf
+    with working():
         return [a + dt * b for a, b in zip(values, rate.tau, strict=True)], dt * rate.tolerance
 
 
@@ -212,8 +211,8 @@ def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None,
     y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
     _, info = pseudo_inverse.solve(S, z, y_rounded, solver)
     if info.status < 0:
-        return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
-    y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
+        return Answer([ZERO] * l, np.inf, info.status, 0)
+    y = point.values[free] if isinstance(free, str) else balls(y_rounded)
     if info.rank == 0:
         error = norm(point.bounds[free]) if isinstance(free, str) else 0.0
         return Answer(y, error, info.status, 0)
@@ -227,7 +226,7 @@ def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None,
 def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: Policy) -> tuple[Exact, float]:
     """tau to 50 digits, and the 2-norm by which the code may miss it."""
     m, l = solver.m, solver.l
-    if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
+    if not all_finite(point.values[matrix], point.values[right]):
         return y, np.inf
     S = rational(point.values[matrix], m, l)
     inverse = exact.pinv_full(S)
@@ -257,7 +256,7 @@ def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info,
     size = norm(S)
     carried = kappa * residual / size if size > 0 else 0.0
     tolerance = BAR * solver.epsilon * kappa * (norm(tau) + norm(y) + carried)
-    return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
+    return Answer(balls(map(as_fraction, tau)), tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
 
 
 def _in_own_units(point: Point, step: React, m: int) -> Point:
@@ -267,7 +266,7 @@ def _in_own_units(point: Point, step: React, m: int) -> Point:
     shifts = {step.matrix: (unit[:, None] + unit).ravel(), step.right: unit, step.jacobian: by_row}
     values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)
     for name, shift in shifts.items():
-        values[name] = [mp.ldexp(v, int(k)) for v, k in zip(values[name], shift, strict=True)]
+        values[name] = [v * flint.arb((1, int(k))) for v, k in zip(values[name], shift, strict=True)]
         with np.errstate(over="ignore"):
             bounds[name] = np.ldexp(bounds[name].ravel(), shift)
             rounded[name] = np.ldexp(rounded[name].ravel(), shift.astype(np.int32))
@@ -282,16 +281,10 @@ def norm(values: Any) -> float:
 
 
 def rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
-    """mpf values as exact rationals."""
-    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
-
-
-def _fmpq(value: Any) -> Any:
-    fraction = as_fraction(value)
-    return flint.fmpq(fraction.numerator, fraction.denominator)
+    """The midpoints, exactly."""
+    return flint.fmpq_mat(rows, columns, [v.mid().fmpq() for v in values])
 
 
 def _values(column: exact.Matrix) -> Exact:
-    with mp.workdps(DIGITS):
-        entries = [column[i, 0] for i in range(column.nrows())]
-        return [mp.mpf(int(q.p)) / int(q.q) for q in entries]
+    with working():
+        return [ball(column[i, 0]) for i in range(column.nrows())]

@@ -133,6 +133,8 @@ def _entry(words: dict[str, str]) -> EntryCampaign:
 def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping[str, Any]) -> str:
     """The C header <prefix>_campaign.h: states to start from, the domain's box, and the entry points to call.
 
+    Of a package with <prefix>_batch.c control is called for 16 states at once, each of which is in turn the last drawn.
+
     Of the entry points that evaluate, the constraints' values and the fused ones, which hold the others' code.
     """
     dtype = np.dtype(scalar).type
@@ -161,6 +163,8 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
             high=[literal(float(x), scalar) for x in box.max(axis=0)],
             drawn=DRAWN if fields else 1,
             entries=entries,
+            batch=f"{prefix}_batch.c" in manifest["files"],
+            controls=scene.controls,
         )
     )
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
+from servogen.ir.balls import balls
 from servogen.law.steps import STATE, SYSTEM, Apply, Evaluate, Limit, Project, Solve
 from servogen.package import Package
 from servogen.results import OF_LIMITS, FloatArray, Status
@@ -393,11 +393,11 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
     behind = [step for step in steps[steps.index(solve) + 1 :] if not isinstance(step, Limit | Evaluate)]
     if not behind:
         return None
-    values = {name: [mp.mpf(float(x)) for x in v] for name, v in case.truth.points[k].rounded.items()}
+    values = {name: balls(v) for name, v in case.truth.points[k].rounded.items()}
     l = case.scene.controls
     columns = []
     for unit in np.eye(l):
-        values[solve.into] = [mp.mpf(x) for x in unit]
+        values[solve.into] = balls(unit)
         walk(behind, values)
         columns.append(values[behind[-1].into])
     return rational([columns[j][i] for i in range(len(columns[0])) for j in range(l)], len(columns[0]), l)
