@@ -63,10 +63,11 @@ def build(
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    if core is not None and scene.sides is not None:
-        raise SceneError(
-            f"scene {scene.name!r}: a core (core={core!r}) with limits is not built; leave out core for this scene"
-        )
+    for what, given in (("limits", scene.sides is not None), ("priorities", len(scene.levels) > 1)):
+        if core is not None and given:
+            raise SceneError(
+                f"scene {scene.name!r}: a core (core={core!r}) with {what} is not built; leave out core for this scene"
+            )
     target = target_for(scene.name, scalar, prefix, math, core)
     module = compile_scene(scene, target, entry_points=entry_points)
     if casadi_abi and not module.law.has("control"):

@@ -12,7 +12,7 @@ import servogen as sg
 from scipy.optimize import linear_sum_assignment
 from servogen.cli.analyse import analyse_command
 from support.high_degree import cars, cars_scene, crane, flexible_joint_arm, thetas
-from support.linear import random_linear
+from support.linear_systems import random_linear
 
 
 @pytest.mark.parametrize("seed", [*range(16), 1004, 1010, 1017, 1044])

@@ -11,7 +11,7 @@ from scipy.linalg import eig
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """x' = A x + B tau, psi = K x with x = (q, u), all of integers; K of q alone, or of u alone."""
+    """x' = A x + B tau, psi = K x with x = (q, u); K of u alone where `speeds`, else of q. Small integers but A."""
 
     A: Any
     B: Any
@@ -19,7 +19,7 @@ class Linear:
     scene: sg.Scene
 
     def degree(self, row: int) -> int | None:
-        """The first k with K A^(k - 1) B not zero in this row, in integers without end."""
+        """The first k with K A^(k - 1) B not zero in this row, in rationals scaled to integers: Q is unimodular."""
         power = self.K[row].astype(object)
         A, B = self.A.astype(object), self.B.astype(object)
         for k in range(1, len(A) + 1):
@@ -37,12 +37,6 @@ class Linear:
                 power = power @ self.A.astype(object)
             rows.append(power @ self.B.astype(object))
         return np.array(rows).astype(float)
-
-    def invertible(self) -> bool:
-        """Whether the transfer function K (s I - A)^-1 B has full rank for almost all s: at one that nothing made."""
-        s = 0.37 + 0.61j
-        inner = np.linalg.solve(s * np.eye(len(self.A)) - self.A.astype(float), self.B.astype(float))
-        return bool(np.linalg.matrix_rank(self.K @ inner, rtol=1e-9) == len(self.K))
 
     def zeros(self) -> Any:
         """The finite s at which [A - s I, B; K, 0] loses rank."""

@@ -28,6 +28,12 @@ def _rows(value: Any, what: str) -> Any:
     return sx
 
 
+def _priority(value: object, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise SceneError(f"{what}: priority={value!r}; give an integer, the lower the more important")
+    return int(value)
+
+
 def theta_matrix(Theta: Any, m: int, what: str) -> Any:
     """Theta as an m x m SX: a number times I, a vector as a diagonal, or the matrix itself."""
     sx = to_sx(Theta, what)
@@ -88,11 +94,13 @@ class Nonholonomic:
     """psi(q, u, t) = 0, imposed as psi' = Theta psi, Eqs. (3)-(9).
 
     Theta: number, vector (diagonal), m x m matrix, or SX of parameters; a numeric one must be Hurwitz.
+    priority: an integer; constraints of higher numbers get what those of lower ones leave open.
     """
 
     name: str
     psi: Any
     Theta: Any
+    priority: int = 0
 
     word: ClassVar = "nonholonomic"
     symbol: ClassVar = "psi"
@@ -104,6 +112,7 @@ class Nonholonomic:
         Theta = theta_matrix(self.Theta, psi.size1(), f"{what}: Theta")
         if Theta.is_constant():
             check_hurwitz(Theta, f"{what}: Theta")
+        object.__setattr__(self, "priority", _priority(self.priority, what))
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta", Theta)
 
@@ -125,12 +134,14 @@ class Holonomic:
     """psi(q, t) = 0, imposed as psi'' = Theta1 psi' + Theta2 psi, Eqs. (11)-(12).
 
     Theta1, Theta2 as for Nonholonomic; numeric ones must make the companion [[0, I], [Theta2, Theta1]] Hurwitz.
+    priority: as for Nonholonomic.
     """
 
     name: str
     psi: Any
     Theta1: Any
     Theta2: Any
+    priority: int = 0
 
     word: ClassVar = "holonomic"
     symbol: ClassVar = "psi"
@@ -146,6 +157,7 @@ class Holonomic:
             check_hurwitz(
                 companion((Theta2, Theta1)), f"{what}: the companion [[0, I], [Theta2, Theta1]] of Theta1 and Theta2"
             )
+        object.__setattr__(self, "priority", _priority(self.priority, what))
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta1", Theta1)
         object.__setattr__(self, "Theta2", Theta2)
@@ -172,11 +184,13 @@ class Output:
     the r-th must: both are proved when the scene is built, and a SceneError names the row and its own degree.
     Holonomic(psi, Theta1, Theta2) is Output(psi, [Theta2, Theta1]), and Nonholonomic(psi, Theta) is
     Output(psi, [Theta]). Isidori (1995), Section 5.1: the relative degree, and this law.
+    priority: as for Nonholonomic.
     """
 
     name: str
     psi: Any
     Theta: Any
+    priority: int = 0
 
     word: ClassVar = "output"
     symbol: ClassVar = "psi"
@@ -192,6 +206,7 @@ class Output:
         thetas = tuple(theta_matrix(T, psi.size1(), f"{what}: T{k}") for k, T in enumerate(self.Theta))
         if all(T.is_constant() for T in thetas):
             check_hurwitz(companion(thetas), f"{what}: the companion of Theta")
+        object.__setattr__(self, "priority", _priority(self.priority, what))
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta", thetas)
 

@@ -27,8 +27,8 @@ def review(scene: Scene) -> tuple[str, ...]:
 
 
 def _rows_beyond_controls(scene: Scene) -> list[str]:
-    if scene.rows <= scene.controls or scene.kind == "ideal":
-        return []
+    if scene.rows <= scene.controls or scene.kind == "ideal" or len(scene.levels) > 1:
+        return []  # of priorities, that is what they are for
     names = ", ".join(repr(c.name) for c in scene.constraints)
     return [
         f"{scene.rows} rows of constraints ({names}) for {scene.controls} controls can never be independent; "

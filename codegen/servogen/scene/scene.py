@@ -37,6 +37,7 @@ class Scene:
     """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
 
     constraints: Nonholonomic, Holonomic and Output ones, or ControlsInvolved ones; rows stack in the order given.
+        Those of several priorities are met one level after the other, the lowest number first.
     y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
     weight: W, l x l, symmetric positive definite, numbers or SX of the inputs and parameters: tau minimises
         (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity;
@@ -135,6 +136,17 @@ class Scene:
         rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
         return rows, self.controls
 
+    @property
+    def levels(self) -> tuple[tuple[int, ...], ...]:
+        """The rows of each priority, the most important first; one level where all constraints are alike."""
+        rows: dict[int, list[int]] = {}
+        at = 0
+        for c in self.constraints:
+            priority = 0 if isinstance(c, ControlsInvolved) else c.priority
+            rows.setdefault(priority, []).extend(range(at, at + c.size))
+            at += c.size
+        return tuple(tuple(rows[priority]) for priority in sorted(rows))
+
     def shape_of(self, function: Function) -> tuple[int, ...]:
         """The shape of what a function of the scene's twins returns."""
         passive = self.mechanism.passive
@@ -231,6 +243,11 @@ def _check_limits(scene: Scene) -> None:
             f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
             "leave out limits"
         )
+    if len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, "
+            "or leave out limits"
+        )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
         if isinstance(side, Side) and ca.depends_on(side.expression, scene.mechanism.tau):
@@ -269,6 +286,11 @@ def _check_kinds(scene: Scene) -> None:
         raise SceneError(
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
+        )
+    if scene.mode == "ideal" and len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
+            "leave mode at 'servo', or give all constraints one priority"
         )
     names = [c.name for c in scene.constraints]
     for name in names:

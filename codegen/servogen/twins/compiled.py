@@ -4,6 +4,7 @@ import ctypes as ct
 import platform
 import struct
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, Protocol
@@ -159,27 +160,28 @@ def _model_struct(module: Module) -> Any:
     return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module))]})
 
 
-def _members(module: Module) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Of <prefix>_info: integers, numbers, and the integers of limits behind them."""
-    if module.limits is None:
-        return INFO_INTEGERS, INFO_REALS, ()
-    return INFO_INTEGERS, (*INFO_REALS, "scale"), ("active",)
+def _members(module: Module) -> list[tuple[str, bool, int]]:
+    """Of <prefix>_info in its order: the name, whether it is an integer, and how many there are, 0 for one alone."""
+    members = [*((n, True, 0) for n in INFO_INTEGERS), *((n, False, 0) for n in INFO_REALS)]
+    if module.cascade is not None:
+        levels = len(module.cascade.levels)
+        members += [("level_residual", False, levels), ("level_rank", True, levels)]
+    if module.limits is not None:
+        members += [("scale", False, 0), ("active", True, 0)]
+    return members
 
 
 def _info_struct(module: Module) -> Any:
-    integers, numbers, behind = _members(module)
     real = c_real(module.target.scalar)
-    members = [*((n, ct.c_int) for n in integers), *((n, real) for n in numbers), *((n, ct.c_int) for n in behind)]
-    return type("info", (ct.Structure,), {"_fields_": members})
+    kinds = ((name, ct.c_int if integer else real, count) for name, integer, count in _members(module))
+    return type("info", (ct.Structure,), {"_fields_": [(n, kind * k if k else kind) for n, kind, k in kinds]})
 
 
 def _info_dtype(module: Module) -> np.dtype[Any]:
     """An array of infos, as C lays it out."""
-    integers, numbers, behind = _members(module)
     real = np.dtype(module.target.scalar)
-    return np.dtype(
-        [*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True
-    )
+    members = [(n, np.dtype("i4") if integer else real, (k,) if k else ()) for n, integer, k in _members(module)]
+    return np.dtype(members, align=True)
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -201,9 +203,16 @@ def _read_info(info: Any) -> Info:
     return Info(_STATUS[info.status], _PATH[info.path], info.rank, info.sweeps, info.sigma_min, info.residual)
 
 
-def _read_limited(info: Any) -> Info:
-    """The same of a package with limits."""
-    return replace(_read_info(info), scale=info.scale, active=info.active)
+def _reader(module: Module) -> Callable[[Any], Info]:
+    """What reads <prefix>_info: of a package with limits or priorities, their members too."""
+    more = [(name, count) for name, _, count in _members(module) if name not in (*INFO_INTEGERS, *INFO_REALS)]
+    if not more:
+        return _read_info
+
+    def read(info: Any) -> Info:
+        return replace(_read_info(info), **{n: getattr(info, n)[:] if k else getattr(info, n) for n, k in more})
+
+    return read
 
 
 class CompiledTwin(Twin):
@@ -215,7 +224,7 @@ class CompiledTwin(Twin):
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
         self._info_type = _info_struct(module)
-        self._read_info = _read_info if module.limits is None else _read_limited
+        self._read_info = _reader(module)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
@@ -321,6 +330,9 @@ class CompiledTwin(Twin):
         members = {n: info[n] for n in info.dtype.names or ()}
         if "scale" not in members:
             members |= {"scale": (status >= 0).astype(self.dtype), "active": np.zeros(states.count, np.int32)}
+        if "level_rank" not in members:
+            nothing = (states.count, 0)
+            members |= {"level_rank": np.zeros(nothing, np.int32), "level_residual": np.zeros(nothing, self.dtype)}
         return Batch(value, **members)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:

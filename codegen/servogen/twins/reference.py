@@ -24,6 +24,7 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
 from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
+from servogen.textbook.cascade import solve_cascade
 from servogen.textbook.limits import solve_within
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
@@ -239,7 +240,7 @@ class ReferenceTwin(Twin):
         S = result[matrix].reshape(self.scene.system_shape)
         y = result["y"].ravel()
         if "weight" not in result:
-            tau, info = pseudo_inverse.solve(S, result[right].ravel(), y, self._policy, last)
+            tau, info = self._solved(S, result[right].ravel(), y, last)
         else:
             with np.errstate(all="ignore"):
                 tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
@@ -308,6 +309,10 @@ class ReferenceTwin(Twin):
         types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
         types |= {"scale": self.dtype, "active": np.dtype(np.int32)}
         columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
+        levels = len(self.scene.levels) if len(self.scene.levels) > 1 else 0
+        for n, kind in (("level_rank", np.dtype(np.int32)), ("level_residual", self.dtype)):
+            rows = [getattr(i, n) or [0] * levels for i in infos]
+            columns.append(np.array(rows, kind).reshape(len(rows), levels))
         return Batch(value, *columns)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
@@ -315,6 +320,15 @@ class ReferenceTwin(Twin):
         refused = np.full(shape, np.nan, self.dtype)
         rows = [self._evaluate(offered.name, given) if ok >= 0 else refused for _, ok, given in self._each(states)]
         return np.array(rows, self.dtype).reshape(states.count, *shape)
+
+    def _solved(
+        self, S: FloatArray, z: FloatArray, y: FloatArray, last: FloatArray | None = None
+    ) -> tuple[FloatArray, Info]:
+        """y + S+ (z - S y), or the same level by level."""
+        levels = self.scene.levels
+        if len(levels) > 1:
+            return solve_cascade(S, z, y, levels, self._policy, last)
+        return pseudo_inverse.solve(S, z, y, self._policy, last)
 
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
@@ -327,12 +341,19 @@ class ReferenceTwin(Twin):
         values = 1 / values if self.scene.weighs_by_inverse_mass else values
         root = (vectors * np.sqrt(values)) @ vectors.T
         inverse = (vectors / np.sqrt(values)) @ vectors.T
-        sigma, info = pseudo_inverse.solve(S @ inverse, z, root @ y, self._policy)
+        sigma, info = self._solved(S @ inverse, z, root @ y)
         return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
 class ReferenceServo(ReferenceTwin):
     """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
+        answer = super()._control(entry, inputs, last, *numbers)
+        levels = len(self.scene.levels)
+        if levels == 1 or answer.info.status >= 0:
+            return answer
+        return Control(last, replace(answer.info, level_rank=[0] * levels, level_residual=[0.0] * levels))
 
     @staticmethod
     def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:

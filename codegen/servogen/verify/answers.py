@@ -4,7 +4,7 @@ One function a step, in ANSWERS. Tolerances are first-order: what the errors of 
 the rounding of its own arithmetic; a solve may err by BAR eps kappa (|tau| + |y|) beyond the former.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,14 +12,16 @@ import flint
 import numpy as np
 
 from servogen import exact
-from servogen.ir.balls import ZERO, Ball, all_finite, ball, balls, working
+from servogen.exact_levels import lexicographic
+from servogen.ir.balls import ZERO, Ball, all_finite, balls, working
 from servogen.ir.numbers import as_fraction
-from servogen.law.steps import STATE, Advance, Apply, Limit, Multiply, React, Solve, Step
+from servogen.law.steps import STATE, Advance, Apply, Cascade, Limit, Multiply, React, Solve, Step
 from servogen.results import FloatArray, Info, Status
-from servogen.singular import pseudo_solution
+from servogen.singular import pseudo_cascade, pseudo_solution
 from servogen.textbook import pseudo_inverse
+from servogen.textbook.cascade import solve_cascade
 from servogen.textbook.policy import Policy
-from servogen.verify.exact_steps import admissible, sparse_product, transposed_product
+from servogen.verify.exact_steps import admissible, column, rational, sparse_product, transposed_product
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS
 
 BAR = 8.0
@@ -94,11 +96,68 @@ def _solve(step: Solve | Apply, at: Surroundings) -> Answer:
     return answer
 
 
-def _free(step: Solve | Apply, at: Surroundings) -> str | FloatArray | None:
+def _free(step: Solve | Cascade | Apply, at: Surroundings) -> str | FloatArray | None:
     """y as solved() takes it."""
     if step.free.startswith(STATE):
         return np.asarray(at.inputs[step.free.removeprefix(STATE)])
     return step.free or None
+
+
+def _cascade(step: Cascade, at: Surroundings) -> Answer:
+    """Level by level, of the scalar's own system: exact where the ranks are those of exact arithmetic, else by the SVD
+    at 50 digits with the ranks that the textbook finds.
+
+    Levels multiply what errors do: a level's directions err by those before it, over how much of its rows they leave.
+    """
+    solver, p, free = at.policies[step.solver], at.point, _free(step, at)
+    m, l = solver.m, solver.l
+    S, z = p.rounded[step.matrix].reshape(m, l).astype(float), p.rounded[step.right].astype(float)
+    y = np.zeros(l) if free is None else p.rounded[free] if isinstance(free, str) else free
+    y = np.asarray(y, dtype=float)
+    found, info = solve_cascade(S, z, y, step.levels, solver)
+    if info.status < 0:
+        return unknown(l, info.status, 0)
+    counted = pseudo_inverse.counted_rows(S, solver)
+    best = lexicographic(exact.rational(counted), exact.rational(z), exact.rational(y), step.levels)
+    if list(best.ranks) == info.level_rank and info.status != Status.REGULARISED:
+        tau, found = column(best.x), exact.nearest(best.x)[:, 0]
+    else:
+        digits = pseudo_cascade(counted, z, y, step.levels, info.level_rank, solver.damping)
+        tau, found = balls(map(as_fraction, digits)), np.array([float(v) for v in digits])
+    length = np.where(np.linalg.norm(S, axis=1) > 0, np.linalg.norm(S, axis=1), 1.0)
+    S_error = float(np.max(np.linalg.norm(p.bounds[step.matrix].reshape(m, l), axis=1) / length))
+    z_error = float(np.max(p.bounds[step.right].ravel() / length))
+    y_error = norm(p.bounds[free]) if isinstance(free, str) else 0.0
+    amplified = amplification(counted, step.levels, info.level_rank)
+    reach, missed = norm(found) + norm(y) + norm(z / length), float(np.max(np.abs(z - S @ found) / length))
+    with np.errstate(all="ignore"):
+        each = BAR * solver.epsilon + 2 * S_error
+        tolerance = amplified * (each * (reach + amplified * missed) + z_error + 2 * y_error)
+    if not (np.isfinite(tolerance) and S_error * amplified < _TRUSTED):
+        return Answer(tau, np.inf, ANY_ANSWER, ANY_RANK)
+    return Answer(tau, tolerance, info.status, info.rank)
+
+
+def amplification(S: FloatArray, levels: Sequence[Sequence[int]], ranks: Sequence[int]) -> float:
+    """What priorities make of relative errors of rows: the product over the levels of |D^-1 S_k| |(D F)^+ D|.
+
+    D: the rows' lengths; F: what the levels before leave of D^-1 S_k, in the `rank` directions that it takes up. At
+    full row rank that is |D^-1 S_k| / sigma_r; below, a long row outweighs others however badly it is placed.
+    """
+    length = np.linalg.norm(S, axis=1)
+    length = np.where(length > 0, length, 1.0)
+    unit = np.asarray(S, dtype=float) / length[:, None]
+    still_open, product = np.eye(S.shape[1]), 1.0
+    for own, rank in zip(map(list, levels), ranks, strict=True):
+        if rank > 0:
+            right = np.linalg.svd(unit[own] @ still_open)[2][:rank]
+            heaviest = np.array(own)[np.argsort(-length[own], kind="stable")]
+            Q, R = np.linalg.qr(length[heaviest][:, None] * (unit[heaviest] @ right.T))
+            product *= float(
+                np.linalg.norm(unit[own], 2) * np.linalg.norm(np.linalg.solve(R, Q.T * length[heaviest]), 2)
+            )
+            still_open = still_open - right.T @ (right @ still_open)
+    return product
 
 
 def _react(step: React, at: Surroundings) -> Answer:
@@ -149,7 +208,7 @@ def _limit(step: Limit, at: Surroundings) -> Answer:
     slowed = p.rounded[step.slowed].astype(float) if step.slowed else None
     metric = p.rounded[step.metric].reshape(l, l).astype(float) if step.metric else None
     best = admissible(S, z, y, lower, upper, slowed, metric)
-    tau, x = _values(best.x), exact.nearest(best.x)[:, 0]
+    tau, x = column(best.x), exact.nearest(best.x)[:, 0]
     rows = np.linalg.norm(S, axis=1)
     free = (S / rows[:, None])[:, [place == 0 for place in best.place]]
     sigma = np.linalg.svd(free, compute_uv=False) if free.size else np.ones(1)
@@ -182,6 +241,7 @@ def _given(name: str, at: Surroundings) -> Any:
 
 ANSWERS: dict[type, Callable[[Any, Surroundings], Answer]] = {
     Solve: _solve,
+    Cascade: _cascade,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
@@ -242,7 +302,7 @@ def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, 
     residual = norm(exact.nearest(rest))
     carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
     smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
-    return _values(tau), float(rounding + carried + 2 * y_error + smallest)
+    return column(tau), float(rounding + carried + 2 * y_error + smallest)
 
 
 def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: Policy) -> Answer:
@@ -278,13 +338,3 @@ def norm(values: Any) -> float:
     sizes = np.array([abs(float(v)) for v in np.ravel(values)])
     largest = float(np.max(sizes, initial=0.0))
     return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
-
-
-def rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
-    """The midpoints, exactly."""
-    return flint.fmpq_mat(rows, columns, [v.mid().fmpq() for v in values])
-
-
-def _values(column: exact.Matrix) -> Exact:
-    with working():
-        return [ball(column[i, 0]) for i in range(column.nrows())]

@@ -33,7 +33,8 @@ DRAWN = 16
 class EntryCampaign:
     """One entry point on one target. hash: over statuses, bits of all answers, and infos. statuses: how often each
     occurred. touched: outputs changed under a negative status. instructions: the most a call took, to within
-    CLOCK_ERROR, at `vector`; stack: the most bytes it took, at every eighth state; both 0 on the host."""
+    CLOCK_ERROR, at `vector`; total: those of all calls together; stack: the most bytes a call took, at every eighth
+    state; all three are 0 on the host."""
 
     entry: str
     vectors: int
@@ -42,6 +43,7 @@ class EntryCampaign:
     touched: int
     instructions: int
     vector: int
+    total: int
     stack: int
 
 
@@ -126,6 +128,7 @@ def _entry(words: dict[str, str]) -> EntryCampaign:
         numbers["touched"],
         numbers["worst"],
         numbers["vector"],
+        int(words["total"], 16),
         numbers["stack"],
     )
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from servogen import exact
 from servogen.exact_bounds import Optimum, best_within
+from servogen.exact_levels import lexicographic
 from servogen.ir.balls import NAN, ZERO, Ball, all_finite, ball, balls, total, working
-from servogen.law.steps import Apply, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
+from servogen.law.steps import Apply, Cascade, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
 from servogen.results import FloatArray
 
 Values = dict[str, list[Ball]]
@@ -45,6 +46,30 @@ def sparse_product(entries: list[Ball], pattern: Pattern, vector: list[Ball]) ->
 def _solve(step: Solve | Apply, values: Values) -> list[Ball]:
     l = len(values[step.matrix]) // len(values[step.right])
     return minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [ZERO] * l))
+
+
+def _cascade(step: Cascade, values: Values) -> list[Ball]:
+    """Level by level, of whatever rank, from the midpoints on without rounding."""
+    m = len(values[step.right])
+    l = len(values[step.matrix]) // m
+    free = values.get(step.free, [ZERO] * l)
+    if not all_finite(values[step.matrix], values[step.right], free):
+        return [NAN] * l
+    best = lexicographic(
+        rational(values[step.matrix], m, l), rational(values[step.right], m, 1), rational(free, l, 1), step.levels
+    )
+    return column(best.x)
+
+
+def rational(values: list[Ball], rows: int, columns: int) -> exact.Matrix:
+    """The midpoints, exactly."""
+    return flint.fmpq_mat(rows, columns, [v.mid().fmpq() for v in values])
+
+
+def column(x: exact.Matrix) -> list[Ball]:
+    """A column of rationals as balls."""
+    with working():
+        return [ball(x[i, 0]) for i in range(x.nrows())]
 
 
 def _multiply(step: Multiply, values: Values) -> list[Ball]:
@@ -126,12 +151,12 @@ def _limit(step: Limit, values: Values) -> list[Ball]:
     best = admissible(
         numbers(step.matrix, len(z), l), z, y, lower, upper, numbers(step.slowed, -1), numbers(step.metric, l, l)
     )
-    with working():
-        return [ball(best.x[j, 0]) for j in range(l)]
+    return column(best.x)
 
 
 EXACT: dict[type, Callable[[Any, Values], list[Ball]]] = {
     Solve: _solve,
+    Cascade: _cascade,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
