@@ -87,7 +87,7 @@ def extend(scene: Scene) -> Extension:
             reason = f"no control moves {labels[degrees.index(None)]}, however often it is differentiated"
             known, rank = first or (degrees, 0)
             return Extension(scene, degrees, known, rank, reason=reason)
-        reached = _reached(scene, degrees)
+        reached = reached_at(scene, degrees)
         pivots, depends = _eliminated(scene, reached.S)
         first = first or (degrees, len(pivots))
         found = Extension(scene, degrees, *first, reached, integrators, exchanged)
@@ -138,7 +138,8 @@ def _found(scene: Scene) -> tuple[Samples, MassFindings]:
     return samples, survey_mass(samples, lower_model(scene))
 
 
-def _reached(scene: Scene, degrees: tuple[int | None, ...]) -> Reached:
+def reached_at(scene: Scene, degrees: tuple[int | None, ...]) -> Reached:
+    """The rows of a servo scene, each in its derivative of that degree."""
     samples, found = _found(scene)
     drift = Drift(samples, found, undeclared_rest=True)
     rates, ends, gradients = [], [], []
