@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
@@ -16,6 +16,7 @@ from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.solver import Method, Solver
 from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
@@ -140,6 +141,14 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 @click.command()
 @click.argument("m", type=click.IntRange(1, 12))
 @click.argument("l", type=click.IntRange(1, 12))
+@click.option(
+    "--method",
+    type=click.Choice(get_args(Method)),
+    default="auto",
+    show_default=True,
+    help="How S+ is computed: the cheapest step proven safe, the SVD always, or a complete orthogonal decomposition "
+    "(no iteration, nearly the same time whatever S is).",
+)
 @click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
 @scalar_option
 @prefix_option
@@ -147,11 +156,21 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 @out_option
 @json_option
 def solver(
-    m: int, l: int, limits: bool, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool
+    m: int,
+    l: int,
+    method: Method,
+    limits: bool,
+    scalar: Scalar,
+    prefix: str | None,
+    math: Math,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math, limits=limits)], [])], as_json)
+    chosen = Solver(method=method)
+    package = build_solver(m, l, folder, scalar, chosen, prefix=prefix, math=math, limits=limits)
+    _report([([package], [])], as_json)
 
 
 _Made = tuple[Sequence[Package], Sequence[Path]]
