@@ -161,6 +161,8 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
             fields=fields,
             width=max(sum(f.size for f in fields), 1),
             largest=max(e["size"] for e in entries),
+            lowest=int(min(Status)),
+            statuses=max(Status) - min(Status) + 1,
             states=[[literal(float(x), scalar) for x in row] for row in rows],
             low=[literal(float(x), scalar) for x in box.min(axis=0)],
             high=[literal(float(x), scalar) for x in box.max(axis=0)],
