@@ -314,8 +314,8 @@ def _given_references(scene: Scene, simulation: Simulation) -> Iterator[tuple[st
     """(name, what to call it, the inputs it sets) of each of simulation.references."""
     assert scene.references is not None
     known = {c.chain[0].name: c.chain for c in chains(scene.references)}
-    if scene.y == "input":
-        known |= {f.name: (f,) for f in scene.input_fields() if f.name == "y"}
+    own = {*(["y"] if scene.y == "input" else []), *(name for name, _ in scene.switches)}
+    known |= {f.name: (f,) for f in scene.input_fields() if f.name in own}
     for name in simulation.references:
         what = f"simulation: references[{name!r}]"
         if name not in known:

@@ -17,7 +17,7 @@ from servogen.scene.limits import INPUTS
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
 from servogen.scene.system import PASSIVE, SYSTEMS, Function
-from servogen.twins.batch import States, read_states
+from servogen.twins.batch import States, check_threads, read_states
 
 
 class Twin(ABC):
@@ -103,6 +103,7 @@ class Twin(ABC):
             return self._answers(offered.name, arrays, last, threads, *numbers)
 
         def quantities(*, threads: int | None = None, **arrays: Any) -> FloatArray:
+            check_threads(threads)
             return self._evaluate_batch(offered, self._read_batch(arrays, offered.name), threads)
 
         function: Callable[..., Any] = answers if offered.controls else quantities
@@ -132,6 +133,7 @@ class Twin(ABC):
         return self._answers("control", arrays, last, threads)
 
     def _answers(self, entry: str, arrays: dict[str, Any], last: Any, threads: int | None, *numbers: float) -> Batch:
+        check_threads(threads)
         states = self._read_batch(arrays, entry)
         shape = (states.count, self._controls)
         value = np.zeros(shape, self.dtype)
@@ -249,7 +251,7 @@ def finite(values: Any) -> bool:
 
 def _sized(value: Any, size: int, name: str) -> FloatArray:
     try:
-        if value is None:
+        if value is None or np.iscomplexobj(value):
             raise TypeError
         array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
     except (TypeError, ValueError, RuntimeError):
