@@ -198,7 +198,7 @@ def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTr
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
     lowered = lower_quantities(scene, quantities, mass)
     program = optimise_quantities(quantities, mass, lowered, lower_model(scene), draw_samples(scene))
-    return plan_functions(scene, quantities, program, target)
+    return plan_functions(scene, quantities, program, target, mass.joining)
 
 
 def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own", core: str | None = None) -> Target:

@@ -284,7 +284,7 @@ STEPS: dict[type, Row] = {
         ("first",),
         lambda step: (),
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
-        (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
+        (Status.NONFINITE, Status.SINGULAR_MASS, Status.DEAD_CENTRE, Status.OVERFLOW),
         False,
     ),
     Solve: Row(

@@ -106,6 +106,8 @@ def _of_the_solver(formulation: Formulation, known: KnownMatrix | None, solver: 
         lines.append(f"factorisation of {matrix}: no state changes it, its pseudo-inverse is computed {where}")
     elif solver.form != "full":
         lines.append(f"SVD: {matrix} is a {solver.form}, the closed form is exact")
+    elif solver.method == "cod":
+        lines.append("SVD: the rank is decided by the pivots of a QR")
     elif solver.method == "auto":
         lines.append("SVD, at each tick: not where a certificate proves that normal equations or QR give its answer")
     if formulation.weight is not None:

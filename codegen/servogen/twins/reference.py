@@ -189,8 +189,10 @@ class ReferenceTwin(Twin):
         given = self.parts(inputs)
         if names and set(names) <= set(_WITHOUT_MASS):
             result = {n: given[_WITHOUT_MASS[n]] for n in names}
-        elif self._singular(given["Q"]) or self._dead(given):
+        elif self._singular(given["Q"]):
             return Status.SINGULAR_MASS, {}
+        elif self._dead(given):
+            return Status.DEAD_CENTRE, {}
         else:
             try:
                 with np.errstate(all="ignore"):
