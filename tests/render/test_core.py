@@ -3,6 +3,7 @@
 import ctypes as ct
 import filecmp
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -125,6 +126,9 @@ def test_what_is_no_core_is_left_alone_and_named(tmp_path) -> None:
     assert [p.name for p in core.iterdir()] == ["notes.txt"]
     with pytest.raises(sg.SceneError, match="prefix 'servogen_core_a' collides with the names of the core"):
         sg.build(scene, tmp_path / "other" / "a", prefix=f"{CORE}_a", core=CORE)
+    sg.build(scene, tmp_path / "two" / "a", prefix="hover", core=CORE)
+    with pytest.raises(sg.SceneError, match=r"prefix 'hover': .*a has it, too, .*clash in one image"):
+        sg.build(scene, tmp_path / "two" / "b", prefix="hover", core=CORE)
     with pytest.raises(sg.SceneError, match="core 'no name' is not a C identifier"):
         sg.build(scene, tmp_path / "a", core="no name")
 
@@ -145,6 +149,21 @@ def test_a_core_that_is_not_ours_is_not_extended(tmp_path, file, edit, words) ->
     (core / file).write_text(edit((core / file).read_text()))
     with pytest.raises(sg.SceneError, match=words):
         sg.build(scene, tmp_path / "b", prefix="b", core=CORE)
+
+
+def test_what_no_package_calls_is_static_and_closed_forms_stay_where_they_are_called(image) -> None:
+    """Else compilers could neither inline nor specialise it, and an image of two small controllers would grow."""
+    folder = image[0].core
+    text, own = (folder / f"{CORE}.c").read_text(), "".join((p.path / f"{p.prefix}.c").read_text() for p in image)
+    functions = {b.names[0]: b.text for b, _, _ in blocks_of(text) if b.kind == "function"}
+    header = (folder / f"{CORE}.h").read_text()
+    hidden = {name for name, code in functions.items() if "static\n" in code}
+    assert hidden
+    assert hidden != functions.keys()
+    assert not any(re.search(rf"\b{name}\(", own + header) for name in hidden)
+    assert all(re.search(rf"\b{name}\(", own) or f"{name}(" in header for name in functions.keys() - hidden)
+    assert not re.search(r"_1x\d+_\w+\(", text)
+    assert re.search(r"^static \w*ALWAYS_INLINE int \w+_solve_core\(", own, re.MULTILINE)
 
 
 def test_a_core_reads_back_as_it_was_written(image) -> None:

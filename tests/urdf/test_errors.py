@@ -112,7 +112,7 @@ def test_locking_is_the_remedy(tmp_path: Path) -> None:
 
 FILES = {
     "<sdf version='1.6'/>": "it is SDF",
-    "<mujoco/>": "it is MJCF, MuJoCo's format; give the URDF",
+    "<mujoco/>": "it is MJCF, MuJoCo's format; load it with sg.mjcf.load",
     "<!DOCTYPE html><html><body>": "it is a web page; download the raw file",
     "<COLLADA/>": "it is a mesh",
     "<plan/>": "begins with <plan>",
@@ -138,7 +138,7 @@ def test_files_of_another_kind(tmp_path: Path, text: str, words: str) -> None:
         (f"<robot>{A}</robot>", "text of XML"),
         ("package://arm/arm.urdf", "is a URI"),
         ("x" * 5000, "cannot read"),
-        ("a\0b", "cannot read"),
+        ("a\0b", "no URDF file at"),
         (".", "is a folder"),
         (3, "of type int"),
     ],

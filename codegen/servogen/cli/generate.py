@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
@@ -16,6 +16,7 @@ from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.solver import Method, Solver
 from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
@@ -75,6 +76,7 @@ def _in_words(system: System) -> str:
     help="Also <prefix>.fmu, for co-simulation by FMI 3.0, sources and binary; with --plant the plant's too.",
 )
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
+@click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: control of many states at once, by vectors.")
 @click.option(
     "--core",
     is_flag=True,
@@ -96,6 +98,7 @@ def generate(
     plant: bool,
     fmu: bool,
     casadi_abi: bool,
+    batch: bool,
     core: bool,
     entry_points: str | None,
     as_json: bool,
@@ -115,7 +118,7 @@ def generate(
         loaded, simulation = load_simulation(scene)
         own = Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
         folder = (out or Path()) / own if several else out or own
-        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names}
+        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names, "batch": batch}
         packages = [build(loaded, folder, scalar, prefix, core=CORE if core else None, **options)]
         if plant:
             name = f"{packages[0].prefix}_plant"
@@ -140,18 +143,38 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 @click.command()
 @click.argument("m", type=click.IntRange(1, 12))
 @click.argument("l", type=click.IntRange(1, 12))
+@click.option(
+    "--method",
+    type=click.Choice(get_args(Method)),
+    default="auto",
+    show_default=True,
+    help="How S+ is computed: the cheapest step proven safe, the SVD always, or a complete orthogonal decomposition "
+    "(no iteration, nearly the same time whatever S is).",
+)
 @click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
+@click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: solve of many systems at once, by vectors.")
 @scalar_option
 @prefix_option
 @math_option
 @out_option
 @json_option
 def solver(
-    m: int, l: int, limits: bool, scalar: Scalar, prefix: str | None, math: Math, out: Path | None, as_json: bool
+    m: int,
+    l: int,
+    method: Method,
+    limits: bool,
+    batch: bool,
+    scalar: Scalar,
+    prefix: str | None,
+    math: Math,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    _report([([build_solver(m, l, folder, scalar, prefix=prefix, math=math, limits=limits)], [])], as_json)
+    chosen = Solver(method=method)
+    built = build_solver(m, l, folder, scalar, chosen, prefix=prefix, math=math, limits=limits, batch=batch)
+    _report([([built], [])], as_json)
 
 
 _Made = tuple[Sequence[Package], Sequence[Path]]

@@ -10,7 +10,7 @@ import click
 import numpy as np
 from rich.markup import escape
 
-from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
+from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, show_verdict, table
 from servogen.cli.generate import scalar_option
 from servogen.cli.runs import runs_summary, show_runs
 from servogen.errors import SceneError
@@ -23,9 +23,8 @@ from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitu
 from servogen.simulate.mujoco_plant import MujocoLoop
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.robustness import write_robustness
-from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
+from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, start_values, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
-from servogen.simulate.verdict import Verdict
 from servogen.simulate.wanted import load_simulation
 from servogen.verify.harness import targets
 
@@ -189,6 +188,7 @@ def simulate_command(
             files += write_plots(loaded, simulation, trajectory, folder)
     summary = _summary(trajectory, scalar) | {
         "drawn_at_the_start": [n for n in ("q", "u") if n not in changed["start"] and n not in simulation.start],
+        "moved_at_the_start": {} if replay is not None else _moved(loaded, simulation, changed, trajectory),
         "target": target,
         "rows_unlike_the_hosts": differing,
         "mujoco": None if mujoco is None else {"model": str(mujoco), "differences": _differences(loop)},
@@ -293,6 +293,17 @@ def _ends(trajectory: Trajectory, row: int) -> dict[str, Any]:
     return {n: v[row] for n, v in vectors.items()} | {n: float(v[row]) for n, v in trajectory.outputs.items()}
 
 
+def _moved(
+    scene: Scene, simulation: Simulation, changed: Mapping[str, Any], trajectory: Trajectory
+) -> dict[str, float]:
+    """By how much the start of q and u was moved onto the passive constraints; empty where it was not."""
+    if not scene.mechanism.passive or not len(trajectory.t):
+        return {}
+    wanted = start_values(scene, simulation, changed["start"], changed["references"])
+    moved = {n: float(np.max(np.abs(getattr(trajectory, n)[0] - wanted[n]))) for n in ("q", "u")}
+    return {n: x for n, x in moved.items() if x > 1e-6 * (1 + np.max(np.abs(wanted[n])))}
+
+
 def _show(
     trajectory: Trajectory,
     summary: Mapping[str, Any],
@@ -305,7 +316,7 @@ def _show(
     else:
         out.print(title, markup=False)
         _show_changes(changed)
-    _show_verdict(trajectory.verdict)
+    show_verdict(trajectory.verdict)
     for file in files:
         out.print(f"  wrote  {file}", markup=False, soft_wrap=True)
 
@@ -316,13 +327,6 @@ def _show_changes(changed: Mapping[str, Mapping[str, FloatArray]]) -> None:
         if values:
             told = "; ".join(f"{n} = {_numbers(v)}" for n, v in values.items())
             out.print(f"  {what} changed: {told}", markup=False)
-
-
-def _show_verdict(verdict: Verdict) -> None:
-    style = "bold green" if verdict.held else "bold red"
-    out.print(f"  [{style}]{escape(verdict.word)}[/]: {escape(verdict.reason)}")
-    if verdict.advice:
-        out.print(f"  {verdict.advice}", markup=False)
 
 
 def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) -> None:
@@ -342,6 +346,9 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
             f"{n} = {_numbers(v)}, not {_numbers(trajectory.parameters[n])}" for n, v in summary["plant"].items()
         )
         out.print(f"  in the plant {told}", markup=False)
+    if summary["moved_at_the_start"]:
+        moved = " and ".join(f"{n} by at most {x:.3g}" for n, x in summary["moved_at_the_start"].items())
+        out.print(f"  the start was brought onto the passive constraints, which moved {moved}", markup=False)
     if summary["machine"]:
         out.print(f"  the machine: {summary['machine']}", markup=False)
     if summary["target"] != "host":

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from servogen.derive.formulation import Quantity, Weight
 from servogen.law.law import Law, Routine
-from servogen.law.steps import STATE, SYSTEM, Evaluate, Invert, Multiply, React, Solve, Step
+from servogen.law.steps import STATE, SYSTEM, Cascade, Evaluate, Invert, Multiply, React, Solve, Step
 from servogen.scene.scene import Scene
 
 
@@ -26,17 +26,23 @@ def controlling(
     made = {step.into for step in before}
     read = [matrix, *(n for s in before for n in (s.matrix, s.right, s.jacobian))]
     read += [name for name in (system.right, free) if name and name not in made and not name.startswith(STATE)]
+    found = system.answer if weight is None else "sigma"
+    switches = tuple((STATE + name, rows) for name, rows in scene.switches)
     steps: tuple[Step, ...]
-    if weight is None:
-        steps = (Solve(system.answer, SYSTEM, matrix, system.right, free),)
+    if scene.cascaded:
+        steps = (Cascade(found, SYSTEM, matrix, system.right, scene.levels, free, switches),)
     else:
+        steps = (Solve(found, SYSTEM, matrix, system.right, free),)
+    if weight is not None:
         read.append("recover")
-        solve = Solve("sigma", SYSTEM, matrix, system.right, free)
-        steps = (solve, Multiply(system.answer, "recover", "sigma", weight.pattern))
+        steps = (*steps, Multiply(system.answer, "recover", found, weight.pattern))
     inverse = f"{system.matrix}_pinv"
     return Law(
         scene.name,
-        inputs=(("y", (scene.controls, 1)),) if free == f"{STATE}y" else (),
+        inputs=(
+            *([("y", (scene.controls, 1))] if free == f"{STATE}y" else []),
+            *((name, (1, 1)) for name, _ in scene.switches),
+        ),
         quantities=tuple((q.name, q.expression.shape) for q in quantities),
         solvers=((SYSTEM, shape),),
         entries=entries,

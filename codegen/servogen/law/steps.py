@@ -41,6 +41,25 @@ class Solve:
 
 
 @dataclass(frozen=True)
+class Cascade:
+    """into = the lexicographic least squares of matrix x = right nearest to free (zero where it is ""), level by level.
+
+    levels: the rows of each, first in priority first; every row in one of them. Each level is solved as by Solve,
+    within what the levels before it leave open.
+    switches: (an input of one number a, rows). With a <= 0 these rows are left out, with a >= 1 they are as given;
+    between, what is asked of them is a right + (1 - a) matrix x', x' the answer without them.
+    """
+
+    into: str
+    solver: str
+    matrix: str
+    right: str
+    levels: tuple[tuple[int, ...], ...]
+    free: str = ""
+    switches: tuple[tuple[str, tuple[int, ...]], ...] = ()
+
+
+@dataclass(frozen=True)
 class Apply:
     """The same as Solve with M+ at hand, for no state changes M: plan puts it in the place of such a Solve."""
 
@@ -152,7 +171,7 @@ class Call:
     moved: tuple[str, str] | None = None
 
 
-Step = Evaluate | Solve | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
+Step = Evaluate | Solve | Cascade | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
 
 
 Place = Literal["alone", "first", "behind", "quiet", "between", "limiting"]
@@ -187,12 +206,22 @@ def _fits(good: bool, problem: str) -> None:
         raise ShapeError(problem)
 
 
-def _solved(step: Solve | Apply, shapes: Mapping[str, Shape]) -> Shape:
+def _solved(step: Solve | Cascade | Apply, shapes: Mapping[str, Shape]) -> Shape:
     (m, l), right = shapes[step.matrix], shapes[step.right]
     _fits(right == (m, 1), f"{step.matrix} of {m} x {l} and {step.right} of {right[0]} x {right[1]}")
     if step.free:
         _fits(shapes[step.free] == (l, 1), f"{step.matrix} of {m} x {l} and the free {step.free}")
     return l, 1
+
+
+def _cascaded(step: Cascade, shapes: Mapping[str, Shape]) -> Shape:
+    rows = sorted(i for level in step.levels for i in level)
+    m = shapes[step.matrix][0]
+    _fits(rows == list(range(m)) and all(step.levels), f"levels that do not hold each of the {m} rows once")
+    switched = [i for _, own in step.switches for i in own]
+    _fits(len(set(switched)) == len(switched) and set(switched) <= set(rows), "a row that two switches, or none, have")
+    _fits(all(shapes[name] == (1, 1) for name, _ in step.switches), "a switch that is no number")
+    return _solved(step, shapes)
 
 
 def _reacted(step: React, shapes: Mapping[str, Shape]) -> Shape:
@@ -255,7 +284,7 @@ STEPS: dict[type, Row] = {
         ("first",),
         lambda step: (),
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
-        (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
+        (Status.NONFINITE, Status.SINGULAR_MASS, Status.DEAD_CENTRE, Status.OVERFLOW),
         False,
     ),
     Solve: Row(
@@ -263,6 +292,17 @@ STEPS: dict[type, Row] = {
         ("alone", "behind"),
         lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
         _solved,
+        (*_RANK, *_REFUSED),
+        True,
+    ),
+    Cascade: Row(
+        "cascade",
+        ("behind",),
+        lambda step: (
+            *(step.matrix, step.right, *([step.free] if step.free else [])),
+            *(name for name, _ in step.switches),
+        ),
+        _cascaded,
         (*_RANK, *_REFUSED),
         True,
     ),

@@ -68,7 +68,7 @@ def ranges(scalar: Scalar, l: int, atol: Sequence[float]) -> dict[str, Any]:
 
     Rows that may be within their atol are outside.
     """
-    square, low, high = (500, -1000, 900) if scalar == "float64" else (40, -100, 110)
+    square, low, high = (470, -1000, 900) if scalar == "float64" else (40, -100, 110)
     bias = BITS[scalar].bias
     never = 2 * (bias + 1)
     lows = [max(-square, _square_above(math.sqrt(l) * a)) for a in atol]

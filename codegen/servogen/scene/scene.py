@@ -11,11 +11,12 @@ from servogen.errors import SceneError
 from servogen.ir.ops import constants, unsupported_operations
 from servogen.results import FloatArray
 from servogen.scene.constraints import (
+    CONSTRAINTS,
     Constraint,
     ControlsInvolved,
     Holonomic,
-    Nonholonomic,
     expression_of,
+    is_holonomic,
     theta_parts,
 )
 from servogen.scene.convert import column, matrix
@@ -31,11 +32,16 @@ State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
 
 
+MOST_SWITCHES = 4
+"""Constraints that may come and go: where all of them do at once, 2^4 answers are found on the way to the last."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
 
-    constraints: Nonholonomic and Holonomic ones, or ControlsInvolved ones; rows stack in the order given.
+    constraints: Nonholonomic, Holonomic and Output ones, or ControlsInvolved ones; rows stack in the order given.
+        Those of several priorities are met one level after the other, the lowest number first.
     y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
     weight: W, l x l, symmetric positive definite, numbers or SX of the inputs and parameters: tau minimises
         (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity;
@@ -63,7 +69,7 @@ class Scene:
         if not isinstance(self.mechanism, Mechanism):
             raise SceneError(f"scene {self.name!r}: give an sg.Mechanism; got {type(self.mechanism).__name__}")
         given = self.constraints
-        if isinstance(given, Nonholonomic | Holonomic | ControlsInvolved):
+        if isinstance(given, CONSTRAINTS):
             given = (given,)
         if not isinstance(given, list | tuple):
             raise SceneError(f"scene {self.name!r}: constraints must be a list; got {type(given).__name__}")
@@ -134,6 +140,32 @@ class Scene:
         rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
         return rows, self.controls
 
+    @property
+    def levels(self) -> tuple[tuple[int, ...], ...]:
+        """The rows of each priority, the most important first; one level where all constraints are alike."""
+        rows: dict[int, list[int]] = {}
+        at = 0
+        for c in self.constraints:
+            priority = 0 if isinstance(c, ControlsInvolved) else c.priority
+            rows.setdefault(priority, []).extend(range(at, at + c.size))
+            at += c.size
+        return tuple(tuple(rows[priority]) for priority in sorted(rows))
+
+    @property
+    def switches(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """(input, rows) of each constraint that an input brings in and takes out."""
+        found, at = [], 0
+        for c in self.constraints:
+            if not isinstance(c, ControlsInvolved) and c.active is not None:
+                found.append((f"{c.name}_active", tuple(range(at, at + c.size))))
+            at += c.size
+        return tuple(found)
+
+    @property
+    def cascaded(self) -> bool:
+        """Whether tau is found level by level: there are priorities, or constraints that come and go."""
+        return len(self.levels) > 1 or bool(self.switches)
+
     def shape_of(self, function: Function) -> tuple[int, ...]:
         """The shape of what a function of the scene's twins returns."""
         passive = self.mechanism.passive
@@ -155,6 +187,10 @@ class Scene:
         if self.sides is not None:
             sides = [side for side, given in self.sides.each() if isinstance(given, str)]
             fields += [self._limit_field(INPUTS[side], f"{side} limits of tau, an infinity for none") for side in sides]
+        fields += [
+            Field(name, ca.SX.sym(name), (1.0,), "", "0: the constraint is left out, 1: it holds")
+            for name, _ in self.switches
+        ]
         return (*fields, *self.references)
 
     def _limit_field(self, name: str, text: str) -> Field:
@@ -230,6 +266,11 @@ def _check_limits(scene: Scene) -> None:
             f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
             "leave out limits"
         )
+    if scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: limits with priorities or with active='input' are not built; give all constraints "
+            "one priority and keep them active, or leave out limits"
+        )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
         if isinstance(side, Side) and ca.depends_on(side.expression, scene.mechanism.tau):
@@ -257,10 +298,10 @@ def _check_kinds(scene: Scene) -> None:
     if not scene.constraints:
         raise SceneError(f"scene {scene.name!r} has no constraints; give at least one")
     for c in scene.constraints:
-        if not isinstance(c, Nonholonomic | Holonomic | ControlsInvolved):
+        if not isinstance(c, CONSTRAINTS):
             raise SceneError(
                 f"scene {scene.name!r}: {type(c).__name__} is no servo-constraint; "
-                "give sg.Nonholonomic, sg.Holonomic or sg.ControlsInvolved"
+                "give sg.Nonholonomic, sg.Holonomic, sg.Output or sg.ControlsInvolved"
             )
     involved = [c.name for c in scene.constraints if isinstance(c, ControlsInvolved)]
     if involved and len(involved) < len(scene.constraints):
@@ -268,6 +309,11 @@ def _check_kinds(scene: Scene) -> None:
         raise SceneError(
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
+        )
+    if scene.mode == "ideal" and scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
+            "leave mode at 'servo', or give all constraints one priority and no active='input'"
         )
     names = [c.name for c in scene.constraints]
     for name in names:
@@ -288,6 +334,12 @@ def _check_kinds(scene: Scene) -> None:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' is not supported with passive constraints "
             f"({mech.passive[0].name!r}); leave mode at 'servo'"
+        )
+    higher = [c.name for c in scene.constraints if c.order > 1 and not is_holonomic(c, mech.u)]
+    if scene.mode == "ideal" and higher:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' asks for the forces of a constraint on u' itself, but the output "
+            f"{higher[0]!r} prescribes a derivative beyond it; leave mode at 'servo'"
         )
     if scene.mode == "ideal" and involved:
         raise SceneError(
@@ -339,6 +391,18 @@ def _among(symbol: Any, symbols: Any) -> bool:
 def _check_names(scene: Scene) -> None:
     assert scene.references is not None
     references = {f.name for f in scene.references}
+    if len(scene.switches) > MOST_SWITCHES:
+        raise SceneError(
+            f"scene {scene.name!r}: {len(scene.switches)} constraints with active='input'; there may be "
+            f"{MOST_SWITCHES}, for all that move at once are solved with and without one another: make one "
+            "constraint of those that come and go together"
+        )
+    for name, _ in scene.switches:
+        if name in references | {f.name for f in scene.parameters}:
+            raise SceneError(
+                f"constraint {name.removesuffix('_active')!r}: active='input' brings the input {name}, but a parameter "
+                "or reference has that name; rename one"
+            )
     for f in scene.parameters:
         if f.name in references:
             raise SceneError(f"parameter {f.name!r} collides with the reference of that name; rename one")

@@ -38,6 +38,7 @@ from servogen.simulate.simulation import (
     moving_references,
     run_takes,
     start_values,
+    with_units_of_rates,
 )
 from servogen.simulate.sources import LoopSources, host_sources, write_loop
 from servogen.simulate.spread import Draws, draw
@@ -85,7 +86,7 @@ class ClosedLoop:
         if scalar not in EPSILON:
             raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
         self.scene = scene
-        self.simulation = simulation or Simulation()
+        self.simulation = with_units_of_rates(scene, simulation or Simulation())
         self.scalar = scalar
         check_simulation(scene, self.simulation)
         self._plant = plant_scene(scene, self.simulation)
@@ -191,7 +192,7 @@ class ClosedLoop:
         )
 
     def _prescribed_starts(self, plan: "_Plan", drawn: Draws) -> FloatArray:
-        """Of each run the state of the prescribed decay at its start: psi', and zeros where psi itself will stand."""
+        """Of each run the state of the prescribed decay at its start: psi's rates, and zeros where psi will be."""
         count = len(drawn.seeds)
         given = {f.name: plan.inputs[f.name] for f in self._given}
         columns = {n: np.tile(v, (count, 1)) for n, v in {**given, "tau": plan.inputs["tau"]}.items()}
@@ -203,9 +204,8 @@ class ClosedLoop:
         parts = []
         for part in prescribed(self.scene):
             parts.append(np.zeros((count, part.psi.size1())))
-            if part.psi_dot is not None:
-                function = ca.Function("rates", [s for _, s in symbols], [ca.densify(part.psi_dot)])
-                parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
+            function = ca.Function("rates", [s for _, s in symbols], [ca.densify(part.rates)])
+            parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
         return np.hstack(parts)
 
     def _plan(self, given: Options) -> "_Plan":

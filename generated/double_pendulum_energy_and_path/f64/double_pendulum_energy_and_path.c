@@ -51,11 +51,11 @@
 /* singular values at or below this part of the largest count as zero */
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_RTOL 4.440892098500626e-16
 /* exponents of row 0's square with which nothing needs scaling */
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_0 523
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_0 1523
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_0 553
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_0 1493
 /* exponents of row 1's square with which nothing needs scaling */
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_LOW_1 928
-#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_1 1523
+#define DOUBLE_PENDULUM_ENERGY_AND_PATH_SQUARE_HIGH_1 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -479,7 +479,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS double double_pendulu
 typedef struct double_pendulum_energy_and_path_normal {
     double lower[1]; /* L below its unit diagonal, row by row */
     double inverse[2]; /* 1 / D */
-    double square[2];  /* the squared lengths of the rows of B */
+    double bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } double_pendulum_energy_and_path_normal;
 
 /* Factorises B B^T, B [2*2]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -506,14 +506,14 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
     if (!(d_0 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     n_1_0 = double_pendulum_energy_and_path_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
@@ -521,9 +521,8 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     return 1;
 }
@@ -632,21 +631,29 @@ static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pe
     double_pendulum_energy_and_path_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double double_pendulum_energy_and_path_qr_bound(const double_pendulum_energy_and_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
+    n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
+{
+    double bound;
     double total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    bound = double_pendulum_energy_and_path_qr_bound(f);
     return bound * total < DOUBLE_PENDULUM_ENERGY_AND_PATH_QR_LIMIT;
 }
 
@@ -935,82 +942,49 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_p
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.91 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_least(const double *lower,
-    const double *inverse, const double *square, double *condition)
+   least 0.81 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS double double_pendulum_energy_and_path_least(
+    const double *lower, const double *inverse, double share)
 {
-    const double k_1_0 = -(lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0;
-    const double h_1 = inverse[1];
-    const double trace = (h_0) + (h_1);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0;
-    const double beside = beside_0;
-    const double apart_0 = h_0 * unit - 0.5;
-    const double apart_1 = h_1 * unit - 0.5;
-    const double apart = (apart_0 * apart_0) + (apart_1 * apart_1);
-    *condition = (square[0] * h_0) + (square[1] * h_1);
-    return unit / (0.5 + double_pendulum_energy_and_path_sqrt(0.5 * (2.0 * beside + apart)));
+    const double t = (inverse[0] + inverse[1] * lower[0] * lower[0]) + inverse[1];
+    const double e = inverse[0] * inverse[1];
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 3.6e-15 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double double_pendulum_energy_and_path_normal_least(const double_pendulum_energy_and_path_normal *f,
-    const double *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 3.6e-15 times
+   |A+|_F^2. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS double double_pendulum_energy_and_path_normal_least(
+    const double_pendulum_energy_and_path_normal *f)
 {
-    double condition, least;
-    if (unit == NULL) {
-        least = double_pendulum_energy_and_path_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[1], inverse[2], square[2];
-        int i, j, k;
-        for (i = 0, k = 0; i < 2; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = double_pendulum_energy_and_path_least(lower, inverse, square, &condition);
-    }
-    return double_pendulum_energy_and_path_sqrt(least
-        * (1.0 - DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_ROUNDING * condition));
+    return double_pendulum_energy_and_path_sqrt(
+        double_pendulum_energy_and_path_least(f->lower, f->inverse,
+        1.0 - DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double double_pendulum_energy_and_path_qr_least(const double_pendulum_energy_and_path_qr *f, const double *unit,
-    double *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static double double_pendulum_energy_and_path_qr_least(const double_pendulum_energy_and_path_qr *f, const double *unit)
 {
-    double lower[1], inverse[2], square[2];
-    double condition, least;
+    double lower[1], inverse[2];
+    double condition, least, share;
     int i, j, k;
-    *share = 0.0;
-    if (f->steps < 2) {
-        return 0.0;
-    }
     for (i = 0, k = 0; i < 2; ++i) {
         const double_pendulum_energy_and_path_line *const line = f->at[i];
         const double own = unit[line->row];
         const double size = 1.0 / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = double_pendulum_energy_and_path_least(lower, inverse, square, &condition);
-    condition = DOUBLE_PENDULUM_ENERGY_AND_PATH_LEAST_SHARE
+    condition = double_pendulum_energy_and_path_qr_bound(f) * f->total;
+    least = double_pendulum_energy_and_path_least(lower, inverse, 1.0);
+    /* what certainly remains */
+    share = DOUBLE_PENDULUM_ENERGY_AND_PATH_LEAST_SHARE
         - DOUBLE_PENDULUM_ENERGY_AND_PATH_LEAST_ROUNDING * double_pendulum_energy_and_path_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return double_pendulum_energy_and_path_sqrt(least);
+    return share > 0.0 ? double_pendulum_energy_and_path_sqrt(least) * share : 0.0;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1066,10 +1040,9 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_p
 static double double_pendulum_energy_and_path_sigma_bound(double_pendulum_energy_and_path_factors *f)
 {
     double unit[2];
-    double share;
     double_pendulum_energy_and_path_word least;
     int bottom = -DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 2; ++i) {
         bottom = f->exponent[i] != DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -1080,10 +1053,16 @@ static double double_pendulum_energy_and_path_sigma_bound(double_pendulum_energy
             ? -above : -(DOUBLE_PENDULUM_ENERGY_AND_PATH_EXPONENT_MAX / 4));
     }
     if (f->path == DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL) {
-        least.value = double_pendulum_energy_and_path_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 2; ++i) {
+            const double size = 1.0 / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = double_pendulum_energy_and_path_normal_least(&f->normal);
     } else {
-        least.value = double_pendulum_energy_and_path_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = double_pendulum_energy_and_path_qr_least(&f->qr, unit);
     }
     least.value = double_pendulum_energy_and_path_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1127,28 +1106,32 @@ static int double_pendulum_energy_and_path_refuse(int status, double_pendulum_en
     return status;
 }
 
-/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double double_pendulum_energy_and_path_norm(const double *v)
+/* |v| in the unit of its largest entry. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_norm_scaled(const double *v)
 {
-    double square = v[0] * v[0] + v[1] * v[1];
-    const uint64_t biased = double_pendulum_energy_and_path_magnitude(
-        square) >> DOUBLE_PENDULUM_ENERGY_AND_PATH_FRACTION_BITS;
-    int unit, i;
-    if (biased >= DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_LOW
-            && biased <= DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_HIGH) {
-        return double_pendulum_energy_and_path_sqrt(square);
-    }
-    unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(v, 2));
+    const int unit = double_pendulum_energy_and_path_exponent(double_pendulum_energy_and_path_largest(v, 2));
+    double square = 0.0;
+    int i;
     if (unit == DOUBLE_PENDULUM_ENERGY_AND_PATH_NO_EXPONENT) {
         return 0.0;
     }
-    square = 0.0;
     for (i = 0; i < 2; ++i) {
         const double part = double_pendulum_energy_and_path_shift(v[i], -unit);
         square += part * part;
     }
     return double_pendulum_energy_and_path_shift(double_pendulum_energy_and_path_sqrt(square), unit);
+}
+
+/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double double_pendulum_energy_and_path_norm(const double *v)
+{
+    const double square = v[0] * v[0] + v[1] * v[1];
+    if (double_pendulum_energy_and_path_within(double_pendulum_energy_and_path_biased_square(square),
+            DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_LOW, DOUBLE_PENDULUM_ENERGY_AND_PATH_ANSWER_HIGH)) {
+        return double_pendulum_energy_and_path_sqrt(square);
+    }
+    return double_pendulum_energy_and_path_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1390,28 +1373,36 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE int double_pendulum_energy_and_p
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE void double_pendulum_energy_and_path_report(
-    const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr,
-    const double *rest, double_pendulum_energy_and_path_info *info)
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_NOINLINE double double_pendulum_energy_and_path_sigma_of_qr(
+    const double_pendulum_energy_and_path_qr *f)
 {
+    double unit[2];
+    double top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 2; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 2; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return double_pendulum_energy_and_path_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS void double_pendulum_energy_and_path_report(
+    const double_pendulum_energy_and_path_normal *normal, const double_pendulum_energy_and_path_qr *qr,
+    const double *B,
+    const double *z, const double *x, double_pendulum_energy_and_path_info *info)
+{
+    double r[2];
+    double_pendulum_energy_and_path_residual(B, z, x, r);
     info->status = DOUBLE_PENDULUM_ENERGY_AND_PATH_OK;
     info->path = qr != NULL ? DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_QR : DOUBLE_PENDULUM_ENERGY_AND_PATH_PATH_NORMAL;
     info->rank = 2;
     info->sweeps = 0;
-    if (qr != NULL) {
-        double unit[2];
-        double share;
-        int i;
-        for (i = 0; i < 2; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = double_pendulum_energy_and_path_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = double_pendulum_energy_and_path_normal_least(normal, NULL);
-    }
-    info->residual = double_pendulum_energy_and_path_norm(rest);
+    info->residual = double_pendulum_energy_and_path_norm(r);
+    info->sigma_min = qr != NULL ? double_pendulum_energy_and_path_sigma_of_qr(qr)
+        : double_pendulum_energy_and_path_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1464,8 +1455,7 @@ static DOUBLE_PENDULUM_ENERGY_AND_PATH_INLINE_WITH_VECTORS int double_pendulum_e
         return 0;
     }
     if (info != NULL) {
-        double_pendulum_energy_and_path_residual(B, z, x, r);
-        double_pendulum_energy_and_path_report(normal, qr, r, info);
+        double_pendulum_energy_and_path_report(normal, qr, B, z, x, info);
     }
     double_pendulum_energy_and_path_gather(x, tau);
     return 1;

@@ -419,14 +419,14 @@ static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendul
     if (!(d_0 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     n_1_0 = double_pendulum_ideal_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
@@ -542,21 +542,29 @@ static void double_pendulum_ideal_f32_qr_factor(const float *B, double_pendulum_
     double_pendulum_ideal_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float double_pendulum_ideal_f32_qr_bound(const double_pendulum_ideal_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
     float n_1_0;
     float bound;
+    n_1_0 = double_pendulum_ideal_f32_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.19e-06 |B|_F: sigma_min >= bound^(-1/2) - 9.5e-07 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_ideal_f32_qr_certified(const double_pendulum_ideal_f32_qr *f)
+{
+    float bound;
     float total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = double_pendulum_ideal_f32_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    bound = double_pendulum_ideal_f32_qr_bound(f);
     return bound * total < DOUBLE_PENDULUM_IDEAL_F32_QR_LIMIT;
 }
 
@@ -915,28 +923,6 @@ static int double_pendulum_ideal_f32_refuse(int status, double_pendulum_ideal_f3
         info->residual = 0.0f;
     }
     return status;
-}
-
-/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float double_pendulum_ideal_f32_norm(const float *v)
-{
-    float square = v[0] * v[0] + v[1] * v[1];
-    const uint32_t biased = double_pendulum_ideal_f32_magnitude(square) >> DOUBLE_PENDULUM_IDEAL_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= DOUBLE_PENDULUM_IDEAL_F32_ANSWER_LOW && biased <= DOUBLE_PENDULUM_IDEAL_F32_ANSWER_HIGH) {
-        return double_pendulum_ideal_f32_sqrt(square);
-    }
-    unit = double_pendulum_ideal_f32_exponent(double_pendulum_ideal_f32_largest(v, 2));
-    if (unit == DOUBLE_PENDULUM_IDEAL_F32_NO_EXPONENT) {
-        return 0.0f;
-    }
-    square = 0.0f;
-    for (i = 0; i < 2; ++i) {
-        const float part = double_pendulum_ideal_f32_shift(v[i], -unit);
-        square += part * part;
-    }
-    return double_pendulum_ideal_f32_shift(double_pendulum_ideal_f32_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1842,6 +1828,32 @@ static const float double_pendulum_ideal_f32_known_pinv[4] = {
 static const double_pendulum_ideal_f32_info double_pendulum_ideal_f32_known_info = {
     DOUBLE_PENDULUM_IDEAL_F32_OK, DOUBLE_PENDULUM_IDEAL_F32_PATH_PRECOMPUTED, 2, 0, 0.618034f, 0.0f};
 
+/* A row times a column, in four sums side by side. */
+static DOUBLE_PENDULUM_IDEAL_F32_INLINE_WITH_VECTORS float double_pendulum_ideal_f32_known_row(const float *row,
+    const float *column)
+{
+    return row[0] * column[0] + row[1] * column[1];
+}
+
+/* |z - S tau|. */
+static DOUBLE_PENDULUM_IDEAL_F32_NOINLINE float double_pendulum_ideal_f32_known_residual(const float *S,
+    const float *z, const float *y, const float *tau)
+{
+    const float rest_0 = z[0] - double_pendulum_ideal_f32_known_row(S, tau);
+    const float rest_1 = z[1] - double_pendulum_ideal_f32_known_row(S + 2, tau);
+    const float square = (rest_0 * rest_0) + (rest_1 * rest_1);
+    float residual;
+    if (double_pendulum_ideal_f32_within(double_pendulum_ideal_f32_biased_square(square),
+            DOUBLE_PENDULUM_IDEAL_F32_ANSWER_LOW, DOUBLE_PENDULUM_IDEAL_F32_ANSWER_HIGH)) {
+        return double_pendulum_ideal_f32_sqrt(square);
+    }
+    if (rest_0 == 0.0f && rest_1 == 0.0f) {
+        return 0.0f; /* as where S only picks controls */
+    }
+    (void)double_pendulum_ideal_f32_consistent(S, z, y, tau, &residual); /* something has left the range */
+    return residual;
+}
+
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_pinv,
     const double_pendulum_ideal_f32_info *known, const float *z, const float *y, float *tau,
@@ -1882,17 +1894,7 @@ static int double_pendulum_ideal_f32_solve_known(const float *S, const float *S_
             status = DOUBLE_PENDULUM_IDEAL_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     } else if (info != NULL) {
-        for (i = 0; i < 2; ++i) {
-            rest[i] = z[i];
-            for (j = 0; j < 2; ++j) {
-                rest[i] -= S[2 * i + j] * found[j];
-            }
-        }
-        residual = double_pendulum_ideal_f32_norm(rest);
-        /* a product has left the range */
-        if (double_pendulum_ideal_f32_magnitude(residual) >= DOUBLE_PENDULUM_IDEAL_F32_INFINITY_BITS) {
-            (void)double_pendulum_ideal_f32_consistent(S, z, y, found, &residual);
-        }
+        residual = double_pendulum_ideal_f32_known_residual(S, z, y, found);
     }
     if (info != NULL) {
         *info = *known;

@@ -47,10 +47,10 @@
 #define DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH 1923
 /* singular values at or below this part of the largest count as zero */
 #define DOUBLE_PENDULUM_IDEAL_RTOL 4.440892098500626e-16
-#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
-#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_0 1523
-#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
-#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_1 1523
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_0 553 /* exponents of row 0's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_0 1493
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_LOW_1 553 /* exponents of row 1's square with which nothing needs scaling */
+#define DOUBLE_PENDULUM_IDEAL_SQUARE_HIGH_1 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -455,14 +455,14 @@ static int double_pendulum_ideal_normal_factor(const double *B, double_pendulum_
     if (!(d_0 > DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > DOUBLE_PENDULUM_IDEAL_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     n_1_0 = double_pendulum_ideal_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
@@ -578,21 +578,29 @@ static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ide
     double_pendulum_ideal_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double double_pendulum_ideal_qr_bound(const double_pendulum_ideal_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
+    n_1_0 = double_pendulum_ideal_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
+{
+    double bound;
     double total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = double_pendulum_ideal_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    bound = double_pendulum_ideal_qr_bound(f);
     return bound * total < DOUBLE_PENDULUM_IDEAL_QR_LIMIT;
 }
 
@@ -948,28 +956,6 @@ static int double_pendulum_ideal_refuse(int status, double_pendulum_ideal_info *
         info->residual = 0.0;
     }
     return status;
-}
-
-/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double double_pendulum_ideal_norm(const double *v)
-{
-    double square = v[0] * v[0] + v[1] * v[1];
-    const uint64_t biased = double_pendulum_ideal_magnitude(square) >> DOUBLE_PENDULUM_IDEAL_FRACTION_BITS;
-    int unit, i;
-    if (biased >= DOUBLE_PENDULUM_IDEAL_ANSWER_LOW && biased <= DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH) {
-        return double_pendulum_ideal_sqrt(square);
-    }
-    unit = double_pendulum_ideal_exponent(double_pendulum_ideal_largest(v, 2));
-    if (unit == DOUBLE_PENDULUM_IDEAL_NO_EXPONENT) {
-        return 0.0;
-    }
-    square = 0.0;
-    for (i = 0; i < 2; ++i) {
-        const double part = double_pendulum_ideal_shift(v[i], -unit);
-        square += part * part;
-    }
-    return double_pendulum_ideal_shift(double_pendulum_ideal_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1862,6 +1848,32 @@ static const double double_pendulum_ideal_known_pinv[4] = {
 static const double_pendulum_ideal_info double_pendulum_ideal_known_info = {
     DOUBLE_PENDULUM_IDEAL_OK, DOUBLE_PENDULUM_IDEAL_PATH_PRECOMPUTED, 2, 0, 0.6180339887498949, 0.0};
 
+/* A row times a column, in four sums side by side. */
+static DOUBLE_PENDULUM_IDEAL_INLINE_WITH_VECTORS double double_pendulum_ideal_known_row(const double *row,
+    const double *column)
+{
+    return row[0] * column[0] + row[1] * column[1];
+}
+
+/* |z - S tau|. */
+static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_known_residual(const double *S, const double *z,
+    const double *y, const double *tau)
+{
+    const double rest_0 = z[0] - double_pendulum_ideal_known_row(S, tau);
+    const double rest_1 = z[1] - double_pendulum_ideal_known_row(S + 2, tau);
+    const double square = (rest_0 * rest_0) + (rest_1 * rest_1);
+    double residual;
+    if (double_pendulum_ideal_within(double_pendulum_ideal_biased_square(square), DOUBLE_PENDULUM_IDEAL_ANSWER_LOW,
+            DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH)) {
+        return double_pendulum_ideal_sqrt(square);
+    }
+    if (rest_0 == 0.0 && rest_1 == 0.0) {
+        return 0.0; /* as where S only picks controls */
+    }
+    (void)double_pendulum_ideal_consistent(S, z, y, tau, &residual); /* something has left the range */
+    return residual;
+}
+
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv; S stands for G, z for R. y may be NULL. */
 static int double_pendulum_ideal_solve_known(const double *S, const double *S_pinv,
     const double_pendulum_ideal_info *known, const double *z, const double *y, double *tau,
@@ -1902,17 +1914,7 @@ static int double_pendulum_ideal_solve_known(const double *S, const double *S_pi
             status = DOUBLE_PENDULUM_IDEAL_RANK_DEFICIENT_INCONSISTENT;
         }
     } else if (info != NULL) {
-        for (i = 0; i < 2; ++i) {
-            rest[i] = z[i];
-            for (j = 0; j < 2; ++j) {
-                rest[i] -= S[2 * i + j] * found[j];
-            }
-        }
-        residual = double_pendulum_ideal_norm(rest);
-        /* a product has left the range */
-        if (double_pendulum_ideal_magnitude(residual) >= DOUBLE_PENDULUM_IDEAL_INFINITY_BITS) {
-            (void)double_pendulum_ideal_consistent(S, z, y, found, &residual);
-        }
+        residual = double_pendulum_ideal_known_residual(S, z, y, found);
     }
     if (info != NULL) {
         *info = *known;

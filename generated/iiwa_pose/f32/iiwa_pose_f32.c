@@ -434,7 +434,7 @@ static IIWA_POSE_F32_INLINE_WITH_VECTORS float iiwa_pose_f32_inner(const float *
 typedef struct iiwa_pose_f32_normal {
     float lower[15]; /* L below its unit diagonal, row by row */
     float inverse[6]; /* 1 / D */
-    float square[6];  /* the squared lengths of the rows of B */
+    float square[6]; /* the squared lengths of the rows of B */
 } iiwa_pose_f32_normal;
 
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -495,7 +495,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     if (!(d_0 > IIWA_POSE_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -510,7 +510,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     if (!(d_1 > IIWA_POSE_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     v_3_1 = g_3_1 - v_3_0 * l_1_0;
@@ -523,7 +523,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     if (!(d_2 > IIWA_POSE_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
     l_3_2 = v_3_2 * i_2;
     v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
@@ -534,7 +534,7 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     if (!(d_3 > IIWA_POSE_F32_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
-    i_3 = 1.0f / d_3;
+i_3 = 1.0f / d_3;
     v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
     l_4_3 = v_4_3 * i_3;
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
@@ -543,14 +543,14 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
     if (!(d_4 > IIWA_POSE_F32_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
-    i_4 = 1.0f / d_4;
+i_4 = 1.0f / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
     if (!(d_5 > IIWA_POSE_F32_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
-    i_5 = 1.0f / d_5;
+i_5 = 1.0f / d_5;
     n_1_0 = iiwa_pose_f32_abs(l_1_0);
     n_2_1 = iiwa_pose_f32_abs(l_2_1);
     n_2_0 = iiwa_pose_f32_abs(l_2_0) + iiwa_pose_f32_abs(l_2_1) * n_1_0;
@@ -581,16 +581,16 @@ static int iiwa_pose_f32_normal_factor(const float *B, iiwa_pose_f32_normal *f)
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
     f->inverse[3] = i_3;
-    f->square[3] = g_3_3;
     f->inverse[4] = i_4;
-    f->square[4] = g_4_4;
     f->inverse[5] = i_5;
+    f->square[0] = g_0_0;
+    f->square[1] = g_1_1;
+    f->square[2] = g_2_2;
+    f->square[3] = g_3_3;
+    f->square[4] = g_4_4;
     f->square[5] = g_5_5;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
@@ -728,9 +728,8 @@ static void iiwa_pose_f32_qr_factor(const float *B, iiwa_pose_f32_qr *f)
     iiwa_pose_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float iiwa_pose_f32_qr_bound(const iiwa_pose_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -744,10 +743,6 @@ static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
     const float *const row_5 = f->at[5]->l;
     float n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     float bound;
-    float total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = iiwa_pose_f32_abs(row_1[0]);
     n_2_1 = iiwa_pose_f32_abs(row_2[1]);
     n_2_0 = iiwa_pose_f32_abs(row_2[0]) + iiwa_pose_f32_abs(row_2[1]) * n_1_0;
@@ -772,6 +767,19 @@ static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0f);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0f);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_pose_f32_qr_certified(const iiwa_pose_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = iiwa_pose_f32_qr_bound(f);
     return bound * total < IIWA_POSE_F32_QR_LIMIT;
 }
 
@@ -1210,54 +1218,36 @@ static IIWA_POSE_F32_NOINLINE float iiwa_pose_f32_least(const float *lower, cons
     return unit / (0.16666667f + iiwa_pose_f32_sqrt(0.8333333f * (2.0f * beside + apart)));
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 2e-05 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float iiwa_pose_f32_normal_least(const iiwa_pose_f32_normal *f, const float *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 2e-05 times
+   |A+|_F^2. */
+static float iiwa_pose_f32_normal_least(const iiwa_pose_f32_normal *f)
 {
-    float condition, least;
-    if (unit == NULL) {
-        least = iiwa_pose_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[15], inverse[6], square[6];
-        int i, j, k;
-        for (i = 0, k = 0; i < 6; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = iiwa_pose_f32_least(lower, inverse, square, &condition);
-    }
+    float condition;
+    const float least = iiwa_pose_f32_least(f->lower, f->inverse, f->square, &condition);
     return iiwa_pose_f32_sqrt(least * (1.0f - IIWA_POSE_F32_NORMAL_ROUNDING * condition));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float iiwa_pose_f32_qr_least(const iiwa_pose_f32_qr *f, const float *unit, float *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static float iiwa_pose_f32_qr_least(const iiwa_pose_f32_qr *f, const float *unit)
 {
     float lower[15], inverse[6], square[6];
-    float condition, least;
+    float condition, least, share;
     int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 6) {
-        return 0.0f;
-    }
     for (i = 0, k = 0; i < 6; ++i) {
         const iiwa_pose_f32_line *const line = f->at[i];
         const float own = unit[line->row];
         const float size = 1.0f / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
+        square[i] = f->total * size * size;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
     least = iiwa_pose_f32_least(lower, inverse, square, &condition);
-    condition = IIWA_POSE_F32_LEAST_SHARE - IIWA_POSE_F32_LEAST_ROUNDING * iiwa_pose_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return iiwa_pose_f32_sqrt(least);
+    /* what certainly remains */
+    share = IIWA_POSE_F32_LEAST_SHARE - IIWA_POSE_F32_LEAST_ROUNDING * iiwa_pose_f32_sqrt(condition);
+    return share > 0.0f ? iiwa_pose_f32_sqrt(least) * share : 0.0f;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1309,10 +1299,9 @@ static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_factorise(const float *S, iiwa_p
 static float iiwa_pose_f32_sigma_bound(iiwa_pose_f32_factors *f)
 {
     float unit[6];
-    float share;
     iiwa_pose_f32_word least;
     int bottom = -IIWA_POSE_F32_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 6; ++i) {
         bottom = f->exponent[i] != IIWA_POSE_F32_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1322,10 +1311,17 @@ static float iiwa_pose_f32_sigma_bound(iiwa_pose_f32_factors *f)
             ? -above : -(IIWA_POSE_F32_EXPONENT_MAX / 4));
     }
     if (f->path == IIWA_POSE_F32_PATH_NORMAL) {
-        least.value = iiwa_pose_f32_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 6; ++i) {
+            const float size = 1.0f / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            f->normal.square[i] *= size * size;
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = iiwa_pose_f32_normal_least(&f->normal);
     } else {
-        least.value = iiwa_pose_f32_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = iiwa_pose_f32_qr_least(&f->qr, unit);
     }
     least.value = iiwa_pose_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1368,26 +1364,32 @@ static int iiwa_pose_f32_refuse(int status, iiwa_pose_f32_info *info)
     return status;
 }
 
-/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float iiwa_pose_f32_norm(const float *v)
+/* |v| in the unit of its largest entry. */
+static IIWA_POSE_F32_NOINLINE float iiwa_pose_f32_norm_scaled(const float *v)
 {
-    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
-    const uint32_t biased = iiwa_pose_f32_magnitude(square) >> IIWA_POSE_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= IIWA_POSE_F32_ANSWER_LOW && biased <= IIWA_POSE_F32_ANSWER_HIGH) {
-        return iiwa_pose_f32_sqrt(square);
-    }
-    unit = iiwa_pose_f32_exponent(iiwa_pose_f32_largest(v, 6));
+    const int unit = iiwa_pose_f32_exponent(iiwa_pose_f32_largest(v, 6));
+    float square = 0.0f;
+    int i;
     if (unit == IIWA_POSE_F32_NO_EXPONENT) {
         return 0.0f;
     }
-    square = 0.0f;
     for (i = 0; i < 6; ++i) {
         const float part = iiwa_pose_f32_shift(v[i], -unit);
         square += part * part;
     }
     return iiwa_pose_f32_shift(iiwa_pose_f32_sqrt(square), unit);
+}
+
+/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float iiwa_pose_f32_norm(const float *v)
+{
+    const float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
+    if (iiwa_pose_f32_within(iiwa_pose_f32_biased_square(square), IIWA_POSE_F32_ANSWER_LOW,
+            IIWA_POSE_F32_ANSWER_HIGH)) {
+        return iiwa_pose_f32_sqrt(square);
+    }
+    return iiwa_pose_f32_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1643,27 +1645,33 @@ static IIWA_POSE_F32_NOINLINE int iiwa_pose_f32_solve_scaled(const float *S, con
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static IIWA_POSE_F32_NOINLINE void iiwa_pose_f32_report(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr,
-    const float *rest, iiwa_pose_f32_info *info)
+static IIWA_POSE_F32_NOINLINE float iiwa_pose_f32_sigma_of_qr(const iiwa_pose_f32_qr *f)
 {
+    float unit[6];
+    float top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 6; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 6; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return iiwa_pose_f32_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static IIWA_POSE_F32_NOINLINE void iiwa_pose_f32_report(const iiwa_pose_f32_normal *normal, const iiwa_pose_f32_qr *qr,
+    const float *B,
+    const float *z, const float *x, iiwa_pose_f32_info *info)
+{
+    float r[6];
+    iiwa_pose_f32_residual(B, z, x, r);
     info->status = IIWA_POSE_F32_OK;
     info->path = qr != NULL ? IIWA_POSE_F32_PATH_QR : IIWA_POSE_F32_PATH_NORMAL;
     info->rank = 6;
     info->sweeps = 0;
-    if (qr != NULL) {
-        float unit[6];
-        float share;
-        int i;
-        for (i = 0; i < 6; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = iiwa_pose_f32_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = iiwa_pose_f32_normal_least(normal, NULL);
-    }
-    info->residual = iiwa_pose_f32_norm(rest);
+    info->residual = iiwa_pose_f32_norm(r);
+    info->sigma_min = qr != NULL ? iiwa_pose_f32_sigma_of_qr(qr) : iiwa_pose_f32_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1709,8 +1717,7 @@ static IIWA_POSE_F32_INLINE_WITH_VECTORS int iiwa_pose_f32_answer(const iiwa_pos
         return 0;
     }
     if (info != NULL) {
-        iiwa_pose_f32_residual(B, z, x, r);
-        iiwa_pose_f32_report(normal, qr, r, info);
+        iiwa_pose_f32_report(normal, qr, B, z, x, info);
     }
     iiwa_pose_f32_gather(x, tau);
     return 1;

@@ -43,17 +43,17 @@
 #define IIWA_POSE_ROOT_L 2.6457513110645907 /* sqrt(7): a row within its atol is no longer than this times atol */
 #define IIWA_POSE_RTOL 1.5543122344752192e-15 /* singular values at or below this part of the largest count as zero */
 #define IIWA_POSE_SQUARE_LOW_0 926 /* exponents of row 0's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_0 1523
+#define IIWA_POSE_SQUARE_HIGH_0 1493
 #define IIWA_POSE_SQUARE_LOW_1 926 /* exponents of row 1's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_1 1523
-#define IIWA_POSE_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_2 1523
+#define IIWA_POSE_SQUARE_HIGH_1 1493
+#define IIWA_POSE_SQUARE_LOW_2 553 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSE_SQUARE_HIGH_2 1493
 #define IIWA_POSE_SQUARE_LOW_3 942 /* exponents of row 3's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_3 1523
+#define IIWA_POSE_SQUARE_HIGH_3 1493
 #define IIWA_POSE_SQUARE_LOW_4 942 /* exponents of row 4's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_4 1523
+#define IIWA_POSE_SQUARE_HIGH_4 1493
 #define IIWA_POSE_SQUARE_LOW_5 940 /* exponents of row 5's square with which nothing needs scaling */
-#define IIWA_POSE_SQUARE_HIGH_5 1523
+#define IIWA_POSE_SQUARE_HIGH_5 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define IIWA_POSE_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -467,7 +467,7 @@ static IIWA_POSE_INLINE_WITH_VECTORS double iiwa_pose_inner(const double *a, con
 typedef struct iiwa_pose_normal {
     double lower[15]; /* L below its unit diagonal, row by row */
     double inverse[6]; /* 1 / D */
-    double square[6];  /* the squared lengths of the rows of B */
+    double square[6]; /* the squared lengths of the rows of B */
 } iiwa_pose_normal;
 
 /* Factorises B B^T, B [6*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -522,7 +522,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     if (!(d_0 > IIWA_POSE_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -537,7 +537,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     if (!(d_1 > IIWA_POSE_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     v_3_1 = g_3_1 - v_3_0 * l_1_0;
@@ -550,7 +550,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     if (!(d_2 > IIWA_POSE_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0 / d_2;
+i_2 = 1.0 / d_2;
     v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
     l_3_2 = v_3_2 * i_2;
     v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
@@ -561,7 +561,7 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     if (!(d_3 > IIWA_POSE_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
-    i_3 = 1.0 / d_3;
+i_3 = 1.0 / d_3;
     v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
     l_4_3 = v_4_3 * i_3;
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
@@ -570,14 +570,14 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
     if (!(d_4 > IIWA_POSE_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
-    i_4 = 1.0 / d_4;
+i_4 = 1.0 / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
     if (!(d_5 > IIWA_POSE_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
-    i_5 = 1.0 / d_5;
+i_5 = 1.0 / d_5;
     n_1_0 = iiwa_pose_abs(l_1_0);
     n_2_1 = iiwa_pose_abs(l_2_1);
     n_2_0 = iiwa_pose_abs(l_2_0) + iiwa_pose_abs(l_2_1) * n_1_0;
@@ -608,16 +608,16 @@ static int iiwa_pose_normal_factor(const double *B, iiwa_pose_normal *f)
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
     f->inverse[3] = i_3;
-    f->square[3] = g_3_3;
     f->inverse[4] = i_4;
-    f->square[4] = g_4_4;
     f->inverse[5] = i_5;
+    f->square[0] = g_0_0;
+    f->square[1] = g_1_1;
+    f->square[2] = g_2_2;
+    f->square[3] = g_3_3;
+    f->square[4] = g_4_4;
     f->square[5] = g_5_5;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
@@ -755,9 +755,8 @@ static void iiwa_pose_qr_factor(const double *B, iiwa_pose_qr *f)
     iiwa_pose_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double iiwa_pose_qr_bound(const iiwa_pose_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -771,10 +770,6 @@ static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
     const double *const row_5 = f->at[5]->l;
     double n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     double bound;
-    double total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = iiwa_pose_abs(row_1[0]);
     n_2_1 = iiwa_pose_abs(row_2[1]);
     n_2_0 = iiwa_pose_abs(row_2[0]) + iiwa_pose_abs(row_2[1]) * n_1_0;
@@ -799,6 +794,19 @@ static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = iiwa_pose_qr_bound(f);
     return bound * total < IIWA_POSE_QR_LIMIT;
 }
 
@@ -1235,54 +1243,35 @@ static IIWA_POSE_NOINLINE double iiwa_pose_least(const double *lower, const doub
     return unit / (0.16666666666666666 + iiwa_pose_sqrt(0.8333333333333334 * (2.0 * beside + apart)));
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 3.7e-14 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double iiwa_pose_normal_least(const iiwa_pose_normal *f, const double *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 3.7e-14 times
+   |A+|_F^2. */
+static double iiwa_pose_normal_least(const iiwa_pose_normal *f)
 {
-    double condition, least;
-    if (unit == NULL) {
-        least = iiwa_pose_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[15], inverse[6], square[6];
-        int i, j, k;
-        for (i = 0, k = 0; i < 6; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = iiwa_pose_least(lower, inverse, square, &condition);
-    }
+    double condition;
+    const double least = iiwa_pose_least(f->lower, f->inverse, f->square, &condition);
     return iiwa_pose_sqrt(least * (1.0 - IIWA_POSE_NORMAL_ROUNDING * condition));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double iiwa_pose_qr_least(const iiwa_pose_qr *f, const double *unit, double *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static double iiwa_pose_qr_least(const iiwa_pose_qr *f, const double *unit)
 {
     double lower[15], inverse[6], square[6];
-    double condition, least;
+    double condition, least, share;
     int i, j, k;
-    *share = 0.0;
-    if (f->steps < 6) {
-        return 0.0;
-    }
     for (i = 0, k = 0; i < 6; ++i) {
         const iiwa_pose_line *const line = f->at[i];
         const double own = unit[line->row];
         const double size = 1.0 / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
+        square[i] = f->total * size * size;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
     least = iiwa_pose_least(lower, inverse, square, &condition);
-    condition = IIWA_POSE_LEAST_SHARE - IIWA_POSE_LEAST_ROUNDING * iiwa_pose_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return iiwa_pose_sqrt(least);
+    share = IIWA_POSE_LEAST_SHARE - IIWA_POSE_LEAST_ROUNDING * iiwa_pose_sqrt(condition); /* what certainly remains */
+    return share > 0.0 ? iiwa_pose_sqrt(least) * share : 0.0;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1334,10 +1323,9 @@ static IIWA_POSE_NOINLINE int iiwa_pose_factorise(const double *S, iiwa_pose_fac
 static double iiwa_pose_sigma_bound(iiwa_pose_factors *f)
 {
     double unit[6];
-    double share;
     iiwa_pose_word least;
     int bottom = -IIWA_POSE_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 6; ++i) {
         bottom = f->exponent[i] != IIWA_POSE_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1346,10 +1334,17 @@ static double iiwa_pose_sigma_bound(iiwa_pose_factors *f)
         unit[i] = iiwa_pose_power(above < IIWA_POSE_EXPONENT_MAX / 4 ? -above : -(IIWA_POSE_EXPONENT_MAX / 4));
     }
     if (f->path == IIWA_POSE_PATH_NORMAL) {
-        least.value = iiwa_pose_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 6; ++i) {
+            const double size = 1.0 / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            f->normal.square[i] *= size * size;
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = iiwa_pose_normal_least(&f->normal);
     } else {
-        least.value = iiwa_pose_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = iiwa_pose_qr_least(&f->qr, unit);
     }
     least.value = iiwa_pose_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1392,26 +1387,31 @@ static int iiwa_pose_refuse(int status, iiwa_pose_info *info)
     return status;
 }
 
-/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double iiwa_pose_norm(const double *v)
+/* |v| in the unit of its largest entry. */
+static IIWA_POSE_NOINLINE double iiwa_pose_norm_scaled(const double *v)
 {
-    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
-    const uint64_t biased = iiwa_pose_magnitude(square) >> IIWA_POSE_FRACTION_BITS;
-    int unit, i;
-    if (biased >= IIWA_POSE_ANSWER_LOW && biased <= IIWA_POSE_ANSWER_HIGH) {
-        return iiwa_pose_sqrt(square);
-    }
-    unit = iiwa_pose_exponent(iiwa_pose_largest(v, 6));
+    const int unit = iiwa_pose_exponent(iiwa_pose_largest(v, 6));
+    double square = 0.0;
+    int i;
     if (unit == IIWA_POSE_NO_EXPONENT) {
         return 0.0;
     }
-    square = 0.0;
     for (i = 0; i < 6; ++i) {
         const double part = iiwa_pose_shift(v[i], -unit);
         square += part * part;
     }
     return iiwa_pose_shift(iiwa_pose_sqrt(square), unit);
+}
+
+/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double iiwa_pose_norm(const double *v)
+{
+    const double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
+    if (iiwa_pose_within(iiwa_pose_biased_square(square), IIWA_POSE_ANSWER_LOW, IIWA_POSE_ANSWER_HIGH)) {
+        return iiwa_pose_sqrt(square);
+    }
+    return iiwa_pose_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1665,27 +1665,33 @@ static IIWA_POSE_NOINLINE int iiwa_pose_solve_scaled(const double *S, const doub
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static IIWA_POSE_NOINLINE void iiwa_pose_report(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr,
-    const double *rest, iiwa_pose_info *info)
+static IIWA_POSE_NOINLINE double iiwa_pose_sigma_of_qr(const iiwa_pose_qr *f)
 {
+    double unit[6];
+    double top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 6; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 6; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return iiwa_pose_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static IIWA_POSE_NOINLINE void iiwa_pose_report(const iiwa_pose_normal *normal, const iiwa_pose_qr *qr,
+    const double *B,
+    const double *z, const double *x, iiwa_pose_info *info)
+{
+    double r[6];
+    iiwa_pose_residual(B, z, x, r);
     info->status = IIWA_POSE_OK;
     info->path = qr != NULL ? IIWA_POSE_PATH_QR : IIWA_POSE_PATH_NORMAL;
     info->rank = 6;
     info->sweeps = 0;
-    if (qr != NULL) {
-        double unit[6];
-        double share;
-        int i;
-        for (i = 0; i < 6; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = iiwa_pose_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = iiwa_pose_normal_least(normal, NULL);
-    }
-    info->residual = iiwa_pose_norm(rest);
+    info->residual = iiwa_pose_norm(r);
+    info->sigma_min = qr != NULL ? iiwa_pose_sigma_of_qr(qr) : iiwa_pose_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1731,8 +1737,7 @@ static IIWA_POSE_INLINE_WITH_VECTORS int iiwa_pose_answer(const iiwa_pose_normal
         return 0;
     }
     if (info != NULL) {
-        iiwa_pose_residual(B, z, x, r);
-        iiwa_pose_report(normal, qr, r, info);
+        iiwa_pose_report(normal, qr, B, z, x, info);
     }
     iiwa_pose_gather(x, tau);
     return 1;

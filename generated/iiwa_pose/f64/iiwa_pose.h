@@ -43,8 +43,8 @@ typedef struct iiwa_pose_info {
     int rank;           /* number of singular values that count as nonzero */
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
     double sigma_min; /* smallest of the singular values of S as given, min(m, l) of them; by IIWA_POSE_PATH_NORMAL and
-                         IIWA_POSE_PATH_QR a proven lower bound: at least 0.76 of it, less rounding, which leaves a
-                         tenth */
+                         IIWA_POSE_PATH_QR a proven lower bound: at least 0.76 of it, less rounding, which leaves
+                         0.14 */
     double residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } iiwa_pose_info;
 

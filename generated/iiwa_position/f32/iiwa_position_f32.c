@@ -432,7 +432,7 @@ static IIWA_POSITION_F32_INLINE_WITH_VECTORS float iiwa_position_f32_inner(const
 typedef struct iiwa_position_f32_normal {
     float lower[3]; /* L below its unit diagonal, row by row */
     float inverse[3]; /* 1 / D */
-    float square[3];  /* the squared lengths of the rows of B */
+    float bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } iiwa_position_f32_normal;
 
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -466,7 +466,7 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     if (!(d_0 > IIWA_POSITION_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -475,14 +475,14 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     if (!(d_1 > IIWA_POSITION_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > IIWA_POSITION_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     n_1_0 = iiwa_position_f32_abs(l_1_0);
     n_2_1 = iiwa_position_f32_abs(l_2_1);
     n_2_0 = iiwa_position_f32_abs(l_2_0) + iiwa_position_f32_abs(l_2_1) * n_1_0;
@@ -493,11 +493,9 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -610,9 +608,8 @@ static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
     iiwa_position_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float iiwa_position_f32_qr_bound(const iiwa_position_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -620,16 +617,25 @@ static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
     const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
-    float total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = iiwa_position_f32_abs(row_1[0]);
     n_2_1 = iiwa_position_f32_abs(row_2[1]);
     n_2_0 = iiwa_position_f32_abs(row_2[0]) + iiwa_position_f32_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = iiwa_position_f32_qr_bound(f);
     return bound * total < IIWA_POSITION_F32_QR_LIMIT;
 }
 
@@ -977,87 +983,51 @@ static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_factorise_svd(const floa
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static IIWA_POSITION_F32_NOINLINE float iiwa_position_f32_least(const float *lower, const float *inverse,
-    const float *square, float *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS float iiwa_position_f32_least(const float *lower, const float *inverse,
+    float share)
 {
-    const float k_1_0 = -(lower[0]);
-    const float k_2_1 = -(lower[2]);
-    const float k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float a_2_0 = inverse[2] * k_2_0;
-    const float a_2_1 = inverse[2] * k_2_1;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const float h_1 = inverse[1] + a_2_1 * k_2_1;
-    const float h_2 = inverse[2];
-    const float trace = (h_0) + (h_1 + h_2);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const float h_2_0 = (a_2_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const float h_2_1 = (a_2_1) * unit;
-    const float beside_1 = h_2_1 * h_2_1;
-    const float beside = beside_0 + beside_1;
-    const float apart_0 = h_0 * unit - 0.33333334f;
-    const float apart_1 = h_1 * unit - 0.33333334f;
-    const float apart_2 = h_2 * unit - 0.33333334f;
-    const float apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.33333334f + iiwa_position_f32_sqrt(0.6666667f * (2.0f * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const float k_2_0 = lower[2] * lower[0] - lower[1];
+    const float h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const float h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const float t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const float e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 1e-05 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float iiwa_position_f32_normal_least(const iiwa_position_f32_normal *f, const float *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 1e-05 times
+   |A+|_F^2. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS float iiwa_position_f32_normal_least(const iiwa_position_f32_normal *f)
 {
-    float condition, least;
-    if (unit == NULL) {
-        least = iiwa_position_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = iiwa_position_f32_least(lower, inverse, square, &condition);
-    }
-    return iiwa_position_f32_sqrt(least * (1.0f - IIWA_POSITION_F32_NORMAL_ROUNDING * condition));
+    return iiwa_position_f32_sqrt(iiwa_position_f32_least(f->lower, f->inverse,
+        1.0f - IIWA_POSITION_F32_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float iiwa_position_f32_qr_least(const iiwa_position_f32_qr *f, const float *unit, float *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static float iiwa_position_f32_qr_least(const iiwa_position_f32_qr *f, const float *unit)
 {
-    float lower[3], inverse[3], square[3];
-    float condition, least;
+    float lower[3], inverse[3];
+    float condition, least, share;
     int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 3) {
-        return 0.0f;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const iiwa_position_f32_line *const line = f->at[i];
         const float own = unit[line->row];
         const float size = 1.0f / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = iiwa_position_f32_least(lower, inverse, square, &condition);
-    condition = IIWA_POSITION_F32_LEAST_SHARE - IIWA_POSITION_F32_LEAST_ROUNDING * iiwa_position_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return iiwa_position_f32_sqrt(least);
+    condition = iiwa_position_f32_qr_bound(f) * f->total;
+    least = iiwa_position_f32_least(lower, inverse, 1.0f);
+    /* what certainly remains */
+    share = IIWA_POSITION_F32_LEAST_SHARE - IIWA_POSITION_F32_LEAST_ROUNDING * iiwa_position_f32_sqrt(condition);
+    return share > 0.0f ? iiwa_position_f32_sqrt(least) * share : 0.0f;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1110,10 +1080,9 @@ static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_factorise(const float *S
 static float iiwa_position_f32_sigma_bound(iiwa_position_f32_factors *f)
 {
     float unit[3];
-    float share;
     iiwa_position_f32_word least;
     int bottom = -IIWA_POSITION_F32_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != IIWA_POSITION_F32_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1123,10 +1092,16 @@ static float iiwa_position_f32_sigma_bound(iiwa_position_f32_factors *f)
             ? -above : -(IIWA_POSITION_F32_EXPONENT_MAX / 4));
     }
     if (f->path == IIWA_POSITION_F32_PATH_NORMAL) {
-        least.value = iiwa_position_f32_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const float size = 1.0f / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = iiwa_position_f32_normal_least(&f->normal);
     } else {
-        least.value = iiwa_position_f32_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = iiwa_position_f32_qr_least(&f->qr, unit);
     }
     least.value = iiwa_position_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1169,26 +1144,32 @@ static int iiwa_position_f32_refuse(int status, iiwa_position_f32_info *info)
     return status;
 }
 
-/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float iiwa_position_f32_norm(const float *v)
+/* |v| in the unit of its largest entry. */
+static IIWA_POSITION_F32_NOINLINE float iiwa_position_f32_norm_scaled(const float *v)
 {
-    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    const uint32_t biased = iiwa_position_f32_magnitude(square) >> IIWA_POSITION_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= IIWA_POSITION_F32_ANSWER_LOW && biased <= IIWA_POSITION_F32_ANSWER_HIGH) {
-        return iiwa_position_f32_sqrt(square);
-    }
-    unit = iiwa_position_f32_exponent(iiwa_position_f32_largest(v, 3));
+    const int unit = iiwa_position_f32_exponent(iiwa_position_f32_largest(v, 3));
+    float square = 0.0f;
+    int i;
     if (unit == IIWA_POSITION_F32_NO_EXPONENT) {
         return 0.0f;
     }
-    square = 0.0f;
     for (i = 0; i < 3; ++i) {
         const float part = iiwa_position_f32_shift(v[i], -unit);
         square += part * part;
     }
     return iiwa_position_f32_shift(iiwa_position_f32_sqrt(square), unit);
+}
+
+/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float iiwa_position_f32_norm(const float *v)
+{
+    const float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if (iiwa_position_f32_within(iiwa_position_f32_biased_square(square), IIWA_POSITION_F32_ANSWER_LOW,
+            IIWA_POSITION_F32_ANSWER_HIGH)) {
+        return iiwa_position_f32_sqrt(square);
+    }
+    return iiwa_position_f32_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1430,27 +1411,33 @@ static IIWA_POSITION_F32_NOINLINE int iiwa_position_f32_solve_scaled(const float
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static IIWA_POSITION_F32_NOINLINE void iiwa_position_f32_report(const iiwa_position_f32_normal *normal,
-    const iiwa_position_f32_qr *qr, const float *rest, iiwa_position_f32_info *info)
+static IIWA_POSITION_F32_NOINLINE float iiwa_position_f32_sigma_of_qr(const iiwa_position_f32_qr *f)
 {
+    float unit[3];
+    float top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 3; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 3; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return iiwa_position_f32_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static IIWA_POSITION_F32_INLINE_WITH_VECTORS void iiwa_position_f32_report(const iiwa_position_f32_normal *normal,
+    const iiwa_position_f32_qr *qr, const float *B,
+    const float *z, const float *x, iiwa_position_f32_info *info)
+{
+    float r[3];
+    iiwa_position_f32_residual(B, z, x, r);
     info->status = IIWA_POSITION_F32_OK;
     info->path = qr != NULL ? IIWA_POSITION_F32_PATH_QR : IIWA_POSITION_F32_PATH_NORMAL;
     info->rank = 3;
     info->sweeps = 0;
-    if (qr != NULL) {
-        float unit[3];
-        float share;
-        int i;
-        for (i = 0; i < 3; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = iiwa_position_f32_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = iiwa_position_f32_normal_least(normal, NULL);
-    }
-    info->residual = iiwa_position_f32_norm(rest);
+    info->residual = iiwa_position_f32_norm(r);
+    info->sigma_min = qr != NULL ? iiwa_position_f32_sigma_of_qr(qr) : iiwa_position_f32_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1496,8 +1483,7 @@ static IIWA_POSITION_F32_INLINE_WITH_VECTORS int iiwa_position_f32_answer(const 
         return 0;
     }
     if (info != NULL) {
-        iiwa_position_f32_residual(B, z, x, r);
-        iiwa_position_f32_report(normal, qr, r, info);
+        iiwa_position_f32_report(normal, qr, B, z, x, info);
     }
     iiwa_position_f32_gather(x, tau);
     return 1;

@@ -45,11 +45,11 @@
 /* singular values at or below this part of the largest count as zero */
 #define IIWA_POSITION_RTOL 1.5543122344752192e-15
 #define IIWA_POSITION_SQUARE_LOW_0 926 /* exponents of row 0's square with which nothing needs scaling */
-#define IIWA_POSITION_SQUARE_HIGH_0 1523
+#define IIWA_POSITION_SQUARE_HIGH_0 1493
 #define IIWA_POSITION_SQUARE_LOW_1 926 /* exponents of row 1's square with which nothing needs scaling */
-#define IIWA_POSITION_SQUARE_HIGH_1 1523
-#define IIWA_POSITION_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
-#define IIWA_POSITION_SQUARE_HIGH_2 1523
+#define IIWA_POSITION_SQUARE_HIGH_1 1493
+#define IIWA_POSITION_SQUARE_LOW_2 553 /* exponents of row 2's square with which nothing needs scaling */
+#define IIWA_POSITION_SQUARE_HIGH_2 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define IIWA_POSITION_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -468,7 +468,7 @@ static IIWA_POSITION_INLINE_WITH_VECTORS double iiwa_position_inner(const double
 typedef struct iiwa_position_normal {
     double lower[3]; /* L below its unit diagonal, row by row */
     double inverse[3]; /* 1 / D */
-    double square[3];  /* the squared lengths of the rows of B */
+    double bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } iiwa_position_normal;
 
 /* Factorises B B^T, B [3*8]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -502,7 +502,7 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     if (!(d_0 > IIWA_POSITION_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -511,14 +511,14 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
     if (!(d_1 > IIWA_POSITION_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > IIWA_POSITION_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0 / d_2;
+i_2 = 1.0 / d_2;
     n_1_0 = iiwa_position_abs(l_1_0);
     n_2_1 = iiwa_position_abs(l_2_1);
     n_2_0 = iiwa_position_abs(l_2_0) + iiwa_position_abs(l_2_1) * n_1_0;
@@ -529,11 +529,9 @@ static int iiwa_position_normal_factor(const double *B, iiwa_position_normal *f)
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -646,9 +644,8 @@ static void iiwa_position_qr_factor(const double *B, iiwa_position_qr *f)
     iiwa_position_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_position_qr_certified(const iiwa_position_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double iiwa_position_qr_bound(const iiwa_position_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -656,16 +653,25 @@ static int iiwa_position_qr_certified(const iiwa_position_qr *f)
     const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
-    double total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = iiwa_position_abs(row_1[0]);
     n_2_1 = iiwa_position_abs(row_2[1]);
     n_2_0 = iiwa_position_abs(row_2[0]) + iiwa_position_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_position_qr_certified(const iiwa_position_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = iiwa_position_qr_bound(f);
     return bound * total < IIWA_POSITION_QR_LIMIT;
 }
 
@@ -1012,87 +1018,51 @@ static IIWA_POSITION_NOINLINE int iiwa_position_factorise_svd(const double *S, i
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static IIWA_POSITION_NOINLINE double iiwa_position_least(const double *lower, const double *inverse,
-    const double *square, double *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static IIWA_POSITION_INLINE_WITH_VECTORS double iiwa_position_least(const double *lower, const double *inverse,
+    double share)
 {
-    const double k_1_0 = -(lower[0]);
-    const double k_2_1 = -(lower[2]);
-    const double k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double a_2_0 = inverse[2] * k_2_0;
-    const double a_2_1 = inverse[2] * k_2_1;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const double h_1 = inverse[1] + a_2_1 * k_2_1;
-    const double h_2 = inverse[2];
-    const double trace = (h_0) + (h_1 + h_2);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const double h_2_0 = (a_2_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const double h_2_1 = (a_2_1) * unit;
-    const double beside_1 = h_2_1 * h_2_1;
-    const double beside = beside_0 + beside_1;
-    const double apart_0 = h_0 * unit - 0.3333333333333333;
-    const double apart_1 = h_1 * unit - 0.3333333333333333;
-    const double apart_2 = h_2 * unit - 0.3333333333333333;
-    const double apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.3333333333333333 + iiwa_position_sqrt(0.6666666666666667 * (2.0 * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const double k_2_0 = lower[2] * lower[0] - lower[1];
+    const double h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const double h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const double t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const double e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 1.9e-14 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double iiwa_position_normal_least(const iiwa_position_normal *f, const double *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 1.9e-14 times
+   |A+|_F^2. */
+static IIWA_POSITION_INLINE_WITH_VECTORS double iiwa_position_normal_least(const iiwa_position_normal *f)
 {
-    double condition, least;
-    if (unit == NULL) {
-        least = iiwa_position_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = iiwa_position_least(lower, inverse, square, &condition);
-    }
-    return iiwa_position_sqrt(least * (1.0 - IIWA_POSITION_NORMAL_ROUNDING * condition));
+    return iiwa_position_sqrt(iiwa_position_least(f->lower, f->inverse,
+        1.0 - IIWA_POSITION_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double iiwa_position_qr_least(const iiwa_position_qr *f, const double *unit, double *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static double iiwa_position_qr_least(const iiwa_position_qr *f, const double *unit)
 {
-    double lower[3], inverse[3], square[3];
-    double condition, least;
+    double lower[3], inverse[3];
+    double condition, least, share;
     int i, j, k;
-    *share = 0.0;
-    if (f->steps < 3) {
-        return 0.0;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const iiwa_position_line *const line = f->at[i];
         const double own = unit[line->row];
         const double size = 1.0 / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = iiwa_position_least(lower, inverse, square, &condition);
-    condition = IIWA_POSITION_LEAST_SHARE - IIWA_POSITION_LEAST_ROUNDING * iiwa_position_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return iiwa_position_sqrt(least);
+    condition = iiwa_position_qr_bound(f) * f->total;
+    least = iiwa_position_least(lower, inverse, 1.0);
+    /* what certainly remains */
+    share = IIWA_POSITION_LEAST_SHARE - IIWA_POSITION_LEAST_ROUNDING * iiwa_position_sqrt(condition);
+    return share > 0.0 ? iiwa_position_sqrt(least) * share : 0.0;
 }
 
 /* The ladder, from the step `from` on. */
@@ -1144,10 +1114,9 @@ static IIWA_POSITION_NOINLINE int iiwa_position_factorise(const double *S, iiwa_
 static double iiwa_position_sigma_bound(iiwa_position_factors *f)
 {
     double unit[3];
-    double share;
     iiwa_position_word least;
     int bottom = -IIWA_POSITION_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != IIWA_POSITION_NO_EXPONENT && f->exponent[i] < bottom ? f->exponent[i] : bottom;
     }
@@ -1157,10 +1126,16 @@ static double iiwa_position_sigma_bound(iiwa_position_factors *f)
             ? -above : -(IIWA_POSITION_EXPONENT_MAX / 4));
     }
     if (f->path == IIWA_POSITION_PATH_NORMAL) {
-        least.value = iiwa_position_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const double size = 1.0 / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = iiwa_position_normal_least(&f->normal);
     } else {
-        least.value = iiwa_position_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = iiwa_position_qr_least(&f->qr, unit);
     }
     least.value = iiwa_position_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1203,26 +1178,32 @@ static int iiwa_position_refuse(int status, iiwa_position_info *info)
     return status;
 }
 
-/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double iiwa_position_norm(const double *v)
+/* |v| in the unit of its largest entry. */
+static IIWA_POSITION_NOINLINE double iiwa_position_norm_scaled(const double *v)
 {
-    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    const uint64_t biased = iiwa_position_magnitude(square) >> IIWA_POSITION_FRACTION_BITS;
-    int unit, i;
-    if (biased >= IIWA_POSITION_ANSWER_LOW && biased <= IIWA_POSITION_ANSWER_HIGH) {
-        return iiwa_position_sqrt(square);
-    }
-    unit = iiwa_position_exponent(iiwa_position_largest(v, 3));
+    const int unit = iiwa_position_exponent(iiwa_position_largest(v, 3));
+    double square = 0.0;
+    int i;
     if (unit == IIWA_POSITION_NO_EXPONENT) {
         return 0.0;
     }
-    square = 0.0;
     for (i = 0; i < 3; ++i) {
         const double part = iiwa_position_shift(v[i], -unit);
         square += part * part;
     }
     return iiwa_position_shift(iiwa_position_sqrt(square), unit);
+}
+
+/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double iiwa_position_norm(const double *v)
+{
+    const double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if (iiwa_position_within(iiwa_position_biased_square(square), IIWA_POSITION_ANSWER_LOW,
+            IIWA_POSITION_ANSWER_HIGH)) {
+        return iiwa_position_sqrt(square);
+    }
+    return iiwa_position_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1461,27 +1442,33 @@ static IIWA_POSITION_NOINLINE int iiwa_position_solve_scaled(const double *S, co
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static IIWA_POSITION_NOINLINE void iiwa_position_report(const iiwa_position_normal *normal, const iiwa_position_qr *qr,
-    const double *rest, iiwa_position_info *info)
+static IIWA_POSITION_NOINLINE double iiwa_position_sigma_of_qr(const iiwa_position_qr *f)
 {
+    double unit[3];
+    double top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 3; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 3; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return iiwa_position_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static IIWA_POSITION_INLINE_WITH_VECTORS void iiwa_position_report(const iiwa_position_normal *normal,
+    const iiwa_position_qr *qr, const double *B,
+    const double *z, const double *x, iiwa_position_info *info)
+{
+    double r[3];
+    iiwa_position_residual(B, z, x, r);
     info->status = IIWA_POSITION_OK;
     info->path = qr != NULL ? IIWA_POSITION_PATH_QR : IIWA_POSITION_PATH_NORMAL;
     info->rank = 3;
     info->sweeps = 0;
-    if (qr != NULL) {
-        double unit[3];
-        double share;
-        int i;
-        for (i = 0; i < 3; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = iiwa_position_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = iiwa_position_normal_least(normal, NULL);
-    }
-    info->residual = iiwa_position_norm(rest);
+    info->residual = iiwa_position_norm(r);
+    info->sigma_min = qr != NULL ? iiwa_position_sigma_of_qr(qr) : iiwa_position_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1527,8 +1514,7 @@ static IIWA_POSITION_INLINE_WITH_VECTORS int iiwa_position_answer(const iiwa_pos
         return 0;
     }
     if (info != NULL) {
-        iiwa_position_residual(B, z, x, r);
-        iiwa_position_report(normal, qr, r, info);
+        iiwa_position_report(normal, qr, B, z, x, info);
     }
     iiwa_position_gather(x, tau);
     return 1;

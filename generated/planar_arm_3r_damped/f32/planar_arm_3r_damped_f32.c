@@ -405,7 +405,7 @@ static PLANAR_ARM_3R_DAMPED_F32_INLINE_WITH_VECTORS float planar_arm_3r_damped_f
 typedef struct planar_arm_3r_damped_f32_normal {
     float lower[1]; /* L below its unit diagonal, row by row */
     float inverse[2]; /* 1 / D */
-    float square[2];  /* the squared lengths of the rows of B */
+    float bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } planar_arm_3r_damped_f32_normal;
 
 /* Factorises B B^T, B [2*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -432,14 +432,14 @@ static int planar_arm_3r_damped_f32_normal_factor(const float *B, planar_arm_3r_
     if (!(d_0 > PLANAR_ARM_3R_DAMPED_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > PLANAR_ARM_3R_DAMPED_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     n_1_0 = planar_arm_3r_damped_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);
@@ -447,9 +447,8 @@ static int planar_arm_3r_damped_f32_normal_factor(const float *B, planar_arm_3r_
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     return 1;
 }
@@ -557,21 +556,29 @@ static void planar_arm_3r_damped_f32_qr_factor(const float *B, planar_arm_3r_dam
     planar_arm_3r_damped_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_damped_f32_qr_certified(const planar_arm_3r_damped_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float planar_arm_3r_damped_f32_qr_bound(const planar_arm_3r_damped_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
     float n_1_0;
     float bound;
+    n_1_0 = planar_arm_3r_damped_f32_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int planar_arm_3r_damped_f32_qr_certified(const planar_arm_3r_damped_f32_qr *f)
+{
+    float bound;
     float total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = planar_arm_3r_damped_f32_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    bound = planar_arm_3r_damped_f32_qr_bound(f);
     return bound * total < PLANAR_ARM_3R_DAMPED_F32_QR_LIMIT;
 }
 
@@ -852,79 +859,49 @@ static PLANAR_ARM_3R_DAMPED_F32_NOINLINE int planar_arm_3r_damped_f32_factorise_
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.91 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static PLANAR_ARM_3R_DAMPED_F32_NOINLINE float planar_arm_3r_damped_f32_least(const float *lower, const float *inverse,
-    const float *square, float *condition)
+   least 0.81 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static PLANAR_ARM_3R_DAMPED_F32_INLINE_WITH_VECTORS float planar_arm_3r_damped_f32_least(const float *lower,
+    const float *inverse, float share)
 {
-    const float k_1_0 = -(lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0;
-    const float h_1 = inverse[1];
-    const float trace = (h_0) + (h_1);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0;
-    const float beside = beside_0;
-    const float apart_0 = h_0 * unit - 0.5f;
-    const float apart_1 = h_1 * unit - 0.5f;
-    const float apart = (apart_0 * apart_0) + (apart_1 * apart_1);
-    *condition = (square[0] * h_0) + (square[1] * h_1);
-    return unit / (0.5f + planar_arm_3r_damped_f32_sqrt(0.5f * (2.0f * beside + apart)));
+    const float t = (inverse[0] + inverse[1] * lower[0] * lower[0]) + inverse[1];
+    const float e = inverse[0] * inverse[1];
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 2.9e-06 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float planar_arm_3r_damped_f32_normal_least(const planar_arm_3r_damped_f32_normal *f, const float *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 2.9e-06 times
+   |A+|_F^2. */
+static PLANAR_ARM_3R_DAMPED_F32_INLINE_WITH_VECTORS float planar_arm_3r_damped_f32_normal_least(
+    const planar_arm_3r_damped_f32_normal *f)
 {
-    float condition, least;
-    if (unit == NULL) {
-        least = planar_arm_3r_damped_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[1], inverse[2], square[2];
-        int i, j, k;
-        for (i = 0, k = 0; i < 2; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = planar_arm_3r_damped_f32_least(lower, inverse, square, &condition);
-    }
-    return planar_arm_3r_damped_f32_sqrt(least * (1.0f - PLANAR_ARM_3R_DAMPED_F32_NORMAL_ROUNDING * condition));
+    return planar_arm_3r_damped_f32_sqrt(
+        planar_arm_3r_damped_f32_least(f->lower, f->inverse,
+        1.0f - PLANAR_ARM_3R_DAMPED_F32_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float planar_arm_3r_damped_f32_qr_least(const planar_arm_3r_damped_f32_qr *f, const float *unit, float *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static float planar_arm_3r_damped_f32_qr_least(const planar_arm_3r_damped_f32_qr *f, const float *unit)
 {
-    float lower[1], inverse[2], square[2];
-    float condition, least;
+    float lower[1], inverse[2];
+    float condition, least, share;
     int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 2) {
-        return 0.0f;
-    }
     for (i = 0, k = 0; i < 2; ++i) {
         const planar_arm_3r_damped_f32_line *const line = f->at[i];
         const float own = unit[line->row];
         const float size = 1.0f / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = planar_arm_3r_damped_f32_least(lower, inverse, square, &condition);
-    condition = PLANAR_ARM_3R_DAMPED_F32_LEAST_SHARE
+    condition = planar_arm_3r_damped_f32_qr_bound(f) * f->total;
+    least = planar_arm_3r_damped_f32_least(lower, inverse, 1.0f);
+    /* what certainly remains */
+    share = PLANAR_ARM_3R_DAMPED_F32_LEAST_SHARE
         - PLANAR_ARM_3R_DAMPED_F32_LEAST_ROUNDING * planar_arm_3r_damped_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return planar_arm_3r_damped_f32_sqrt(least);
+    return share > 0.0f ? planar_arm_3r_damped_f32_sqrt(least) * share : 0.0f;
 }
 
 /* The ladder, from the step `from` on. */
@@ -978,10 +955,9 @@ static PLANAR_ARM_3R_DAMPED_F32_NOINLINE int planar_arm_3r_damped_f32_factorise(
 static float planar_arm_3r_damped_f32_sigma_bound(planar_arm_3r_damped_f32_factors *f)
 {
     float unit[2];
-    float share;
     planar_arm_3r_damped_f32_word least;
     int bottom = -PLANAR_ARM_3R_DAMPED_F32_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 2; ++i) {
         bottom = f->exponent[i] != PLANAR_ARM_3R_DAMPED_F32_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -992,10 +968,16 @@ static float planar_arm_3r_damped_f32_sigma_bound(planar_arm_3r_damped_f32_facto
             ? -above : -(PLANAR_ARM_3R_DAMPED_F32_EXPONENT_MAX / 4));
     }
     if (f->path == PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL) {
-        least.value = planar_arm_3r_damped_f32_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 2; ++i) {
+            const float size = 1.0f / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = planar_arm_3r_damped_f32_normal_least(&f->normal);
     } else {
-        least.value = planar_arm_3r_damped_f32_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = planar_arm_3r_damped_f32_qr_least(&f->qr, unit);
     }
     least.value = planar_arm_3r_damped_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1039,26 +1021,32 @@ static int planar_arm_3r_damped_f32_refuse(int status, planar_arm_3r_damped_f32_
     return status;
 }
 
-/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float planar_arm_3r_damped_f32_norm(const float *v)
+/* |v| in the unit of its largest entry. */
+static PLANAR_ARM_3R_DAMPED_F32_NOINLINE float planar_arm_3r_damped_f32_norm_scaled(const float *v)
 {
-    float square = v[0] * v[0] + v[1] * v[1];
-    const uint32_t biased = planar_arm_3r_damped_f32_magnitude(square) >> PLANAR_ARM_3R_DAMPED_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= PLANAR_ARM_3R_DAMPED_F32_ANSWER_LOW && biased <= PLANAR_ARM_3R_DAMPED_F32_ANSWER_HIGH) {
-        return planar_arm_3r_damped_f32_sqrt(square);
-    }
-    unit = planar_arm_3r_damped_f32_exponent(planar_arm_3r_damped_f32_largest(v, 2));
+    const int unit = planar_arm_3r_damped_f32_exponent(planar_arm_3r_damped_f32_largest(v, 2));
+    float square = 0.0f;
+    int i;
     if (unit == PLANAR_ARM_3R_DAMPED_F32_NO_EXPONENT) {
         return 0.0f;
     }
-    square = 0.0f;
     for (i = 0; i < 2; ++i) {
         const float part = planar_arm_3r_damped_f32_shift(v[i], -unit);
         square += part * part;
     }
     return planar_arm_3r_damped_f32_shift(planar_arm_3r_damped_f32_sqrt(square), unit);
+}
+
+/* |v| of 2 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float planar_arm_3r_damped_f32_norm(const float *v)
+{
+    const float square = v[0] * v[0] + v[1] * v[1];
+    if (planar_arm_3r_damped_f32_within(planar_arm_3r_damped_f32_biased_square(square),
+            PLANAR_ARM_3R_DAMPED_F32_ANSWER_LOW, PLANAR_ARM_3R_DAMPED_F32_ANSWER_HIGH)) {
+        return planar_arm_3r_damped_f32_sqrt(square);
+    }
+    return planar_arm_3r_damped_f32_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1292,28 +1280,35 @@ static PLANAR_ARM_3R_DAMPED_F32_NOINLINE int planar_arm_3r_damped_f32_solve_scal
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static PLANAR_ARM_3R_DAMPED_F32_NOINLINE void planar_arm_3r_damped_f32_report(
-    const planar_arm_3r_damped_f32_normal *normal, const planar_arm_3r_damped_f32_qr *qr, const float *rest,
-    planar_arm_3r_damped_f32_info *info)
+static PLANAR_ARM_3R_DAMPED_F32_NOINLINE float planar_arm_3r_damped_f32_sigma_of_qr(
+    const planar_arm_3r_damped_f32_qr *f)
 {
+    float unit[2];
+    float top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 2; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 2; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return planar_arm_3r_damped_f32_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static PLANAR_ARM_3R_DAMPED_F32_INLINE_WITH_VECTORS void planar_arm_3r_damped_f32_report(
+    const planar_arm_3r_damped_f32_normal *normal, const planar_arm_3r_damped_f32_qr *qr, const float *B,
+    const float *z, const float *x, planar_arm_3r_damped_f32_info *info)
+{
+    float r[2];
+    planar_arm_3r_damped_f32_residual(B, z, x, r);
     info->status = PLANAR_ARM_3R_DAMPED_F32_OK;
     info->path = qr != NULL ? PLANAR_ARM_3R_DAMPED_F32_PATH_QR : PLANAR_ARM_3R_DAMPED_F32_PATH_NORMAL;
     info->rank = 2;
     info->sweeps = 0;
-    if (qr != NULL) {
-        float unit[2];
-        float share;
-        int i;
-        for (i = 0; i < 2; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = planar_arm_3r_damped_f32_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = planar_arm_3r_damped_f32_normal_least(normal, NULL);
-    }
-    info->residual = planar_arm_3r_damped_f32_norm(rest);
+    info->residual = planar_arm_3r_damped_f32_norm(r);
+    info->sigma_min = qr != NULL ? planar_arm_3r_damped_f32_sigma_of_qr(qr)
+        : planar_arm_3r_damped_f32_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1360,8 +1355,7 @@ static PLANAR_ARM_3R_DAMPED_F32_INLINE_WITH_VECTORS int planar_arm_3r_damped_f32
         return 0;
     }
     if (info != NULL) {
-        planar_arm_3r_damped_f32_residual(B, z, x, r);
-        planar_arm_3r_damped_f32_report(normal, qr, r, info);
+        planar_arm_3r_damped_f32_report(normal, qr, B, z, x, info);
     }
     planar_arm_3r_damped_f32_gather(x, tau);
     return 1;

@@ -46,8 +46,8 @@ typedef struct planar_arm_3r_weighted_info {
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
     double sigma_min; /* smallest of the singular values of S as given,
         min(m, l) of them; by PLANAR_ARM_3R_WEIGHTED_PATH_NORMAL and
-                         PLANAR_ARM_3R_WEIGHTED_PATH_QR a proven lower bound: at least 0.91 of it, less rounding, which
-                         leaves a tenth */
+                         PLANAR_ARM_3R_WEIGHTED_PATH_QR a proven lower bound: at least 0.81 of it, less rounding, which
+                         leaves 0.20 */
     double residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } planar_arm_3r_weighted_info;
 

@@ -279,7 +279,7 @@ static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS float quaternion_pointing_f32
 typedef struct quaternion_pointing_f32_normal {
     float lower[3]; /* L below its unit diagonal, row by row */
     float inverse[3]; /* 1 / D */
-    float square[3];  /* the squared lengths of the rows of B */
+    float bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } quaternion_pointing_f32_normal;
 
 /* Factorises B B^T, B [3*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -313,7 +313,7 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     if (!(d_0 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -322,14 +322,14 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
     if (!(d_1 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > QUATERNION_POINTING_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     n_1_0 = quaternion_pointing_f32_abs(l_1_0);
     n_2_1 = quaternion_pointing_f32_abs(l_2_1);
     n_2_0 = quaternion_pointing_f32_abs(l_2_0) + quaternion_pointing_f32_abs(l_2_1) * n_1_0;
@@ -340,11 +340,9 @@ static int quaternion_pointing_f32_normal_factor(const float *B, quaternion_poin
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -457,9 +455,8 @@ static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointin
     quaternion_pointing_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float quaternion_pointing_f32_qr_bound(const quaternion_pointing_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -467,16 +464,25 @@ static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr
     const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
-    float total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = quaternion_pointing_f32_abs(row_1[0]);
     n_2_1 = quaternion_pointing_f32_abs(row_2[1]);
     n_2_0 = quaternion_pointing_f32_abs(row_2[0]) + quaternion_pointing_f32_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = quaternion_pointing_f32_qr_bound(f);
     return bound * total < QUATERNION_POINTING_F32_QR_LIMIT;
 }
 
@@ -827,88 +833,54 @@ static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_factorise_sv
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_least(const float *lower, const float *inverse,
-    const float *square, float *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS float quaternion_pointing_f32_least(const float *lower,
+    const float *inverse, float share)
 {
-    const float k_1_0 = -(lower[0]);
-    const float k_2_1 = -(lower[2]);
-    const float k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const float a_1_0 = inverse[1] * k_1_0;
-    const float a_2_0 = inverse[2] * k_2_0;
-    const float a_2_1 = inverse[2] * k_2_1;
-    const float h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const float h_1 = inverse[1] + a_2_1 * k_2_1;
-    const float h_2 = inverse[2];
-    const float trace = (h_0) + (h_1 + h_2);
-    const float unit = 1.0f / trace;
-    const float h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const float h_2_0 = (a_2_0) * unit;
-    const float beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const float h_2_1 = (a_2_1) * unit;
-    const float beside_1 = h_2_1 * h_2_1;
-    const float beside = beside_0 + beside_1;
-    const float apart_0 = h_0 * unit - 0.33333334f;
-    const float apart_1 = h_1 * unit - 0.33333334f;
-    const float apart_2 = h_2 * unit - 0.33333334f;
-    const float apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.33333334f + quaternion_pointing_f32_sqrt(0.6666667f * (2.0f * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const float k_2_0 = lower[2] * lower[0] - lower[1];
+    const float h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const float h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const float t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const float e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 4.3e-06 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static float quaternion_pointing_f32_normal_least(const quaternion_pointing_f32_normal *f, const float *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 4.3e-06 times
+   |A+|_F^2. */
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS float quaternion_pointing_f32_normal_least(
+    const quaternion_pointing_f32_normal *f)
 {
-    float condition, least;
-    if (unit == NULL) {
-        least = quaternion_pointing_f32_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        float lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const float size = 1.0f / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = quaternion_pointing_f32_least(lower, inverse, square, &condition);
-    }
-    return quaternion_pointing_f32_sqrt(least * (1.0f - QUATERNION_POINTING_F32_NORMAL_ROUNDING * condition));
+    return quaternion_pointing_f32_sqrt(
+        quaternion_pointing_f32_least(f->lower, f->inverse,
+        1.0f - QUATERNION_POINTING_F32_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static float quaternion_pointing_f32_qr_least(const quaternion_pointing_f32_qr *f, const float *unit, float *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static float quaternion_pointing_f32_qr_least(const quaternion_pointing_f32_qr *f, const float *unit)
 {
-    float lower[3], inverse[3], square[3];
-    float condition, least;
+    float lower[3], inverse[3];
+    float condition, least, share;
     int i, j, k;
-    *share = 0.0f;
-    if (f->steps < 3) {
-        return 0.0f;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const quaternion_pointing_f32_line *const line = f->at[i];
         const float own = unit[line->row];
         const float size = 1.0f / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = quaternion_pointing_f32_least(lower, inverse, square, &condition);
-    condition = QUATERNION_POINTING_F32_LEAST_SHARE
+    condition = quaternion_pointing_f32_qr_bound(f) * f->total;
+    least = quaternion_pointing_f32_least(lower, inverse, 1.0f);
+    /* what certainly remains */
+    share = QUATERNION_POINTING_F32_LEAST_SHARE
         - QUATERNION_POINTING_F32_LEAST_ROUNDING * quaternion_pointing_f32_sqrt(condition);
-    *share = condition > 0.0f ? condition : 0.0f;
-    return quaternion_pointing_f32_sqrt(least);
+    return share > 0.0f ? quaternion_pointing_f32_sqrt(least) * share : 0.0f;
 }
 
 /* The ladder, from the step `from` on. */
@@ -962,10 +934,9 @@ static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_factorise(co
 static float quaternion_pointing_f32_sigma_bound(quaternion_pointing_f32_factors *f)
 {
     float unit[3];
-    float share;
     quaternion_pointing_f32_word least;
     int bottom = -QUATERNION_POINTING_F32_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != QUATERNION_POINTING_F32_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -976,10 +947,16 @@ static float quaternion_pointing_f32_sigma_bound(quaternion_pointing_f32_factors
             ? -above : -(QUATERNION_POINTING_F32_EXPONENT_MAX / 4));
     }
     if (f->path == QUATERNION_POINTING_F32_PATH_NORMAL) {
-        least.value = quaternion_pointing_f32_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const float size = 1.0f / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = quaternion_pointing_f32_normal_least(&f->normal);
     } else {
-        least.value = quaternion_pointing_f32_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = quaternion_pointing_f32_qr_least(&f->qr, unit);
     }
     least.value = quaternion_pointing_f32_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1023,26 +1000,32 @@ static int quaternion_pointing_f32_refuse(int status, quaternion_pointing_f32_in
     return status;
 }
 
-/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float quaternion_pointing_f32_norm(const float *v)
+/* |v| in the unit of its largest entry. */
+static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_norm_scaled(const float *v)
 {
-    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    const uint32_t biased = quaternion_pointing_f32_magnitude(square) >> QUATERNION_POINTING_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= QUATERNION_POINTING_F32_ANSWER_LOW && biased <= QUATERNION_POINTING_F32_ANSWER_HIGH) {
-        return quaternion_pointing_f32_sqrt(square);
-    }
-    unit = quaternion_pointing_f32_exponent(quaternion_pointing_f32_largest(v, 3));
+    const int unit = quaternion_pointing_f32_exponent(quaternion_pointing_f32_largest(v, 3));
+    float square = 0.0f;
+    int i;
     if (unit == QUATERNION_POINTING_F32_NO_EXPONENT) {
         return 0.0f;
     }
-    square = 0.0f;
     for (i = 0; i < 3; ++i) {
         const float part = quaternion_pointing_f32_shift(v[i], -unit);
         square += part * part;
     }
     return quaternion_pointing_f32_shift(quaternion_pointing_f32_sqrt(square), unit);
+}
+
+/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static float quaternion_pointing_f32_norm(const float *v)
+{
+    const float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if (quaternion_pointing_f32_within(quaternion_pointing_f32_biased_square(square),
+            QUATERNION_POINTING_F32_ANSWER_LOW, QUATERNION_POINTING_F32_ANSWER_HIGH)) {
+        return quaternion_pointing_f32_sqrt(square);
+    }
+    return quaternion_pointing_f32_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1287,28 +1270,34 @@ static QUATERNION_POINTING_F32_NOINLINE int quaternion_pointing_f32_solve_scaled
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static QUATERNION_POINTING_F32_NOINLINE void quaternion_pointing_f32_report(
-    const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *rest,
-    quaternion_pointing_f32_info *info)
+static QUATERNION_POINTING_F32_NOINLINE float quaternion_pointing_f32_sigma_of_qr(const quaternion_pointing_f32_qr *f)
 {
+    float unit[3];
+    float top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 3; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 3; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return quaternion_pointing_f32_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS void quaternion_pointing_f32_report(
+    const quaternion_pointing_f32_normal *normal, const quaternion_pointing_f32_qr *qr, const float *B,
+    const float *z, const float *x, quaternion_pointing_f32_info *info)
+{
+    float r[3];
+    quaternion_pointing_f32_residual(B, z, x, r);
     info->status = QUATERNION_POINTING_F32_OK;
     info->path = qr != NULL ? QUATERNION_POINTING_F32_PATH_QR : QUATERNION_POINTING_F32_PATH_NORMAL;
     info->rank = 3;
     info->sweeps = 0;
-    if (qr != NULL) {
-        float unit[3];
-        float share;
-        int i;
-        for (i = 0; i < 3; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = quaternion_pointing_f32_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = quaternion_pointing_f32_normal_least(normal, NULL);
-    }
-    info->residual = quaternion_pointing_f32_norm(rest);
+    info->residual = quaternion_pointing_f32_norm(r);
+    info->sigma_min = qr != NULL ? quaternion_pointing_f32_sigma_of_qr(qr)
+        : quaternion_pointing_f32_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1359,8 +1348,7 @@ static QUATERNION_POINTING_F32_INLINE_WITH_VECTORS int quaternion_pointing_f32_a
         return 0;
     }
     if (info != NULL) {
-        quaternion_pointing_f32_residual(B, z, x, r);
-        quaternion_pointing_f32_report(normal, qr, r, info);
+        quaternion_pointing_f32_report(normal, qr, B, z, x, info);
     }
     quaternion_pointing_f32_gather(x, tau);
     return 1;

@@ -46,8 +46,8 @@ typedef struct quaternion_pointing_f32_info {
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
     float sigma_min; /* smallest of the singular values of S as given,
         min(m, l) of them; by QUATERNION_POINTING_F32_PATH_NORMAL and
-                         QUATERNION_POINTING_F32_PATH_QR a proven lower bound: at least 0.85 of it, less rounding,
-                         which leaves a tenth */
+                         QUATERNION_POINTING_F32_PATH_QR a proven lower bound: at least 0.70 of it, less rounding,
+                         which leaves 0.15 */
     float residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } quaternion_pointing_f32_info;
 

@@ -49,11 +49,11 @@
 /* singular values at or below this part of the largest count as zero */
 #define QUATERNION_POINTING_RTOL 6.661338147750939e-16
 #define QUATERNION_POINTING_SQUARE_LOW_0 918 /* exponents of row 0's square with which nothing needs scaling */
-#define QUATERNION_POINTING_SQUARE_HIGH_0 1523
+#define QUATERNION_POINTING_SQUARE_HIGH_0 1493
 #define QUATERNION_POINTING_SQUARE_LOW_1 918 /* exponents of row 1's square with which nothing needs scaling */
-#define QUATERNION_POINTING_SQUARE_HIGH_1 1523
-#define QUATERNION_POINTING_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
-#define QUATERNION_POINTING_SQUARE_HIGH_2 1523
+#define QUATERNION_POINTING_SQUARE_HIGH_1 1493
+#define QUATERNION_POINTING_SQUARE_LOW_2 553 /* exponents of row 2's square with which nothing needs scaling */
+#define QUATERNION_POINTING_SQUARE_HIGH_2 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define QUATERNION_POINTING_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -277,7 +277,7 @@ static QUATERNION_POINTING_INLINE_WITH_VECTORS double quaternion_pointing_inner(
 typedef struct quaternion_pointing_normal {
     double lower[3]; /* L below its unit diagonal, row by row */
     double inverse[3]; /* 1 / D */
-    double square[3];  /* the squared lengths of the rows of B */
+    double bound; /* of |A+|_F^2, A being B with its rows brought to length 1 */
 } quaternion_pointing_normal;
 
 /* Factorises B B^T, B [3*3]. Returns 1 if its certificate holds (then the answer, refined once, is as good as any),
@@ -311,7 +311,7 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     if (!(d_0 > QUATERNION_POINTING_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -320,14 +320,14 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
     if (!(d_1 > QUATERNION_POINTING_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > QUATERNION_POINTING_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0 / d_2;
+i_2 = 1.0 / d_2;
     n_1_0 = quaternion_pointing_abs(l_1_0);
     n_2_1 = quaternion_pointing_abs(l_2_1);
     n_2_0 = quaternion_pointing_abs(l_2_0) + quaternion_pointing_abs(l_2_1) * n_1_0;
@@ -338,11 +338,9 @@ static int quaternion_pointing_normal_factor(const double *B, quaternion_pointin
         return 0;
     }
     f->inverse[0] = i_0;
-    f->square[0] = g_0_0;
     f->inverse[1] = i_1;
-    f->square[1] = g_1_1;
     f->inverse[2] = i_2;
-    f->square[2] = g_2_2;
+    f->bound = bound;
     f->lower[0] = l_1_0;
     f->lower[1] = l_2_0;
     f->lower[2] = l_2_1;
@@ -455,9 +453,8 @@ static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_q
     quaternion_pointing_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double quaternion_pointing_qr_bound(const quaternion_pointing_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -465,16 +462,25 @@ static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
     const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
-    double total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = quaternion_pointing_abs(row_1[0]);
     n_2_1 = quaternion_pointing_abs(row_2[1]);
     n_2_0 = quaternion_pointing_abs(row_2[0]) + quaternion_pointing_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = quaternion_pointing_qr_bound(f);
     return bound * total < QUATERNION_POINTING_QR_LIMIT;
 }
 
@@ -823,88 +829,52 @@ static QUATERNION_POINTING_NOINLINE int quaternion_pointing_factorise_svd(const 
 }
 
 /* For a matrix M with M M^T = L D L^T the square of a lower bound of its smallest singular value; the bound is at
-   least 0.85 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
-   most t / n +
-   ((n - 1) / n)^(1/2) s, where t is its trace and s the Frobenius norm of H - (t / n) I (Wolkowicz and Styan 1980).
-   lower: L below its unit diagonal, row by row; inverse: 1 / D; square: the squared lengths of the rows of M, or more.
-   *condition = sum_j square_j h_jj. */
-static QUATERNION_POINTING_NOINLINE double quaternion_pointing_least(const double *lower, const double *inverse,
-    const double *square, double *condition)
+   least 0.70 of it, but for rounding. With H = (L D L^T)^-1 = K^T D^-1 K, K = L^-1, the largest eigenvalue of H is at
+   most t - e / t, where t is its trace and e the sum of its principal minors of order 2.
+   lower: L below its unit diagonal, row by row; inverse: 1 / D; share: what rounding leaves of the square. */
+static QUATERNION_POINTING_INLINE_WITH_VECTORS double quaternion_pointing_least(const double *lower,
+    const double *inverse, double share)
 {
-    const double k_1_0 = -(lower[0]);
-    const double k_2_1 = -(lower[2]);
-    const double k_2_0 = -(lower[1] + k_2_1 * lower[0]);
-    const double a_1_0 = inverse[1] * k_1_0;
-    const double a_2_0 = inverse[2] * k_2_0;
-    const double a_2_1 = inverse[2] * k_2_1;
-    const double h_0 = inverse[0] + a_1_0 * k_1_0 + a_2_0 * k_2_0;
-    const double h_1 = inverse[1] + a_2_1 * k_2_1;
-    const double h_2 = inverse[2];
-    const double trace = (h_0) + (h_1 + h_2);
-    const double unit = 1.0 / trace;
-    const double h_1_0 = (a_1_0 + a_2_1 * k_2_0) * unit;
-    const double h_2_0 = (a_2_0) * unit;
-    const double beside_0 = h_1_0 * h_1_0 + h_2_0 * h_2_0;
-    const double h_2_1 = (a_2_1) * unit;
-    const double beside_1 = h_2_1 * h_2_1;
-    const double beside = beside_0 + beside_1;
-    const double apart_0 = h_0 * unit - 0.3333333333333333;
-    const double apart_1 = h_1 * unit - 0.3333333333333333;
-    const double apart_2 = h_2 * unit - 0.3333333333333333;
-    const double apart = (apart_0 * apart_0) + (apart_1 * apart_1 + apart_2 * apart_2);
-    *condition = (square[0] * h_0) + (square[1] * h_1 + square[2] * h_2);
-    return unit / (0.3333333333333333 + quaternion_pointing_sqrt(0.6666666666666667 * (2.0 * beside + apart)));
+    /* the minors as sums of what is not negative, by Cauchy and Binet */
+    const double k_2_0 = lower[2] * lower[0] - lower[1];
+    const double h = inverse[0] + inverse[1] * lower[0] * lower[0];
+    const double h_1 = inverse[1] + inverse[2] * lower[2] * lower[2];
+    const double t = (h + inverse[2] * k_2_0 * k_2_0) + (h_1 + inverse[2]);
+    const double e = (inverse[2] * (inverse[1] + h) + inverse[0] * h_1)
+        + (inverse[2] * lower[1]) * (inverse[1] * lower[1]);
+    return share * t / (t * t - e);
 }
 
-/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 8e-15 times the
-   condition. The rows of B are those of S times unit; B is S where that is NULL. */
-static double quaternion_pointing_normal_least(const quaternion_pointing_normal *f, const double *unit)
+/* The same of B from the normal equations, its root: what rounding took from L D L^T is at most 8e-15 times
+   |A+|_F^2. */
+static QUATERNION_POINTING_INLINE_WITH_VECTORS double quaternion_pointing_normal_least(
+    const quaternion_pointing_normal *f)
 {
-    double condition, least;
-    if (unit == NULL) {
-        least = quaternion_pointing_least(f->lower, f->inverse, f->square, &condition);
-    } else {
-        double lower[3], inverse[3], square[3];
-        int i, j, k;
-        for (i = 0, k = 0; i < 3; ++i) {
-            const double size = 1.0 / unit[i];
-            square[i] = f->square[i] * size * size;
-            inverse[i] = f->inverse[i] * unit[i] * unit[i];
-            for (j = 0; j < i; ++j, ++k) {
-                lower[k] = f->lower[k] * size * unit[j];
-            }
-        }
-        least = quaternion_pointing_least(lower, inverse, square, &condition);
-    }
-    return quaternion_pointing_sqrt(least * (1.0 - QUATERNION_POINTING_NORMAL_ROUNDING * condition));
+    return quaternion_pointing_sqrt(quaternion_pointing_least(f->lower, f->inverse,
+        1.0 - QUATERNION_POINTING_NORMAL_ROUNDING * f->bound));
 }
 
-/* The same from the QR, without what rounding may have taken: *share is what certainly remains, the triangle being the
-   exact one of a matrix that near to B (Bjoerck 1967). */
-static double quaternion_pointing_qr_least(const quaternion_pointing_qr *f, const double *unit, double *share)
+/* The same from the QR, the triangle being the exact one of a matrix near to B (Bjoerck 1967). Row i of B is that of S
+   times unit[i]. */
+static double quaternion_pointing_qr_least(const quaternion_pointing_qr *f, const double *unit)
 {
-    double lower[3], inverse[3], square[3];
-    double condition, least;
+    double lower[3], inverse[3];
+    double condition, least, share;
     int i, j, k;
-    *share = 0.0;
-    if (f->steps < 3) {
-        return 0.0;
-    }
     for (i = 0, k = 0; i < 3; ++i) {
         const quaternion_pointing_line *const line = f->at[i];
         const double own = unit[line->row];
         const double size = 1.0 / own;
-        square[i] = f->total * size * size;
         inverse[i] = f->inverse[i] * own * own;
         for (j = 0; j < i; ++j, ++k) {
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    least = quaternion_pointing_least(lower, inverse, square, &condition);
-    condition = QUATERNION_POINTING_LEAST_SHARE
-        - QUATERNION_POINTING_LEAST_ROUNDING * quaternion_pointing_sqrt(condition);
-    *share = condition > 0.0 ? condition : 0.0;
-    return quaternion_pointing_sqrt(least);
+    condition = quaternion_pointing_qr_bound(f) * f->total;
+    least = quaternion_pointing_least(lower, inverse, 1.0);
+    /* what certainly remains */
+    share = QUATERNION_POINTING_LEAST_SHARE - QUATERNION_POINTING_LEAST_ROUNDING * quaternion_pointing_sqrt(condition);
+    return share > 0.0 ? quaternion_pointing_sqrt(least) * share : 0.0;
 }
 
 /* The ladder, from the step `from` on. */
@@ -957,10 +927,9 @@ static QUATERNION_POINTING_NOINLINE int quaternion_pointing_factorise(const doub
 static double quaternion_pointing_sigma_bound(quaternion_pointing_factors *f)
 {
     double unit[3];
-    double share;
     quaternion_pointing_word least;
     int bottom = -QUATERNION_POINTING_NO_EXPONENT;
-    int i;
+    int i, j, k;
     for (i = 0; i < 3; ++i) {
         bottom = f->exponent[i] != QUATERNION_POINTING_NO_EXPONENT && f->exponent[i] < bottom
             ? f->exponent[i] : bottom;
@@ -971,10 +940,16 @@ static double quaternion_pointing_sigma_bound(quaternion_pointing_factors *f)
             ? -above : -(QUATERNION_POINTING_EXPONENT_MAX / 4));
     }
     if (f->path == QUATERNION_POINTING_PATH_NORMAL) {
-        least.value = quaternion_pointing_normal_least(&f->normal, unit);
+        for (i = 0, k = 0; i < 3; ++i) {
+            const double size = 1.0 / unit[i];
+            f->normal.inverse[i] *= unit[i] * unit[i];
+            for (j = 0; j < i; ++j, ++k) {
+                f->normal.lower[k] *= size * unit[j];
+            }
+        }
+        least.value = quaternion_pointing_normal_least(&f->normal);
     } else {
-        least.value = quaternion_pointing_qr_least(&f->qr, unit, &share);
-        least.value *= share;
+        least.value = quaternion_pointing_qr_least(&f->qr, unit);
     }
     least.value = quaternion_pointing_shift(least.value, bottom);
     /* a subnormal number may have been rounded up */
@@ -1018,26 +993,32 @@ static int quaternion_pointing_refuse(int status, quaternion_pointing_info *info
     return status;
 }
 
-/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double quaternion_pointing_norm(const double *v)
+/* |v| in the unit of its largest entry. */
+static QUATERNION_POINTING_NOINLINE double quaternion_pointing_norm_scaled(const double *v)
 {
-    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    const uint64_t biased = quaternion_pointing_magnitude(square) >> QUATERNION_POINTING_FRACTION_BITS;
-    int unit, i;
-    if (biased >= QUATERNION_POINTING_ANSWER_LOW && biased <= QUATERNION_POINTING_ANSWER_HIGH) {
-        return quaternion_pointing_sqrt(square);
-    }
-    unit = quaternion_pointing_exponent(quaternion_pointing_largest(v, 3));
+    const int unit = quaternion_pointing_exponent(quaternion_pointing_largest(v, 3));
+    double square = 0.0;
+    int i;
     if (unit == QUATERNION_POINTING_NO_EXPONENT) {
         return 0.0;
     }
-    square = 0.0;
     for (i = 0; i < 3; ++i) {
         const double part = quaternion_pointing_shift(v[i], -unit);
         square += part * part;
     }
     return quaternion_pointing_shift(quaternion_pointing_sqrt(square), unit);
+}
+
+/* |v| of 3 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
+   vanishes. */
+static double quaternion_pointing_norm(const double *v)
+{
+    const double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if (quaternion_pointing_within(quaternion_pointing_biased_square(square), QUATERNION_POINTING_ANSWER_LOW,
+            QUATERNION_POINTING_ANSWER_HIGH)) {
+        return quaternion_pointing_sqrt(square);
+    }
+    return quaternion_pointing_norm_scaled(v);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1279,27 +1260,33 @@ static QUATERNION_POINTING_NOINLINE int quaternion_pointing_solve_scaled(const d
     return status;
 }
 
-/* Fills *info. rest: what tau leaves of z. */
-static QUATERNION_POINTING_NOINLINE void quaternion_pointing_report(const quaternion_pointing_normal *normal,
-    const quaternion_pointing_qr *qr, const double *rest, quaternion_pointing_info *info)
+static QUATERNION_POINTING_NOINLINE double quaternion_pointing_sigma_of_qr(const quaternion_pointing_qr *f)
 {
+    double unit[3];
+    double top = f->line[0].unit;
+    int i;
+    for (i = 1; i < 3; ++i) {
+        top = f->line[i].unit > top ? f->line[i].unit : top;
+    }
+    for (i = 0; i < 3; ++i) {
+        unit[i] = f->line[i].unit / top;
+    }
+    return quaternion_pointing_qr_least(f, unit) / top;
+}
+
+/* Fills *info. x: tau, padded. */
+static QUATERNION_POINTING_INLINE_WITH_VECTORS void quaternion_pointing_report(
+    const quaternion_pointing_normal *normal, const quaternion_pointing_qr *qr, const double *B,
+    const double *z, const double *x, quaternion_pointing_info *info)
+{
+    double r[3];
+    quaternion_pointing_residual(B, z, x, r);
     info->status = QUATERNION_POINTING_OK;
     info->path = qr != NULL ? QUATERNION_POINTING_PATH_QR : QUATERNION_POINTING_PATH_NORMAL;
     info->rank = 3;
     info->sweeps = 0;
-    if (qr != NULL) {
-        double unit[3];
-        double share;
-        int i;
-        for (i = 0; i < 3; ++i) {
-            unit[i] = qr->line[i].unit;
-        }
-        info->sigma_min = quaternion_pointing_qr_least(qr, unit, &share);
-        info->sigma_min *= share;
-    } else {
-        info->sigma_min = quaternion_pointing_normal_least(normal, NULL);
-    }
-    info->residual = quaternion_pointing_norm(rest);
+    info->residual = quaternion_pointing_norm(r);
+    info->sigma_min = qr != NULL ? quaternion_pointing_sigma_of_qr(qr) : quaternion_pointing_normal_least(normal);
 }
 
 /* x = S+ r from the QR if there is one, else from the normal equations. */
@@ -1350,8 +1337,7 @@ static QUATERNION_POINTING_INLINE_WITH_VECTORS int quaternion_pointing_answer(co
         return 0;
     }
     if (info != NULL) {
-        quaternion_pointing_residual(B, z, x, r);
-        quaternion_pointing_report(normal, qr, r, info);
+        quaternion_pointing_report(normal, qr, B, z, x, info);
     }
     quaternion_pointing_gather(x, tau);
     return 1;

@@ -327,7 +327,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_0 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -342,7 +342,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_1 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     v_3_1 = g_3_1 - v_3_0 * l_1_0;
@@ -355,7 +355,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_2 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
     l_3_2 = v_3_2 * i_2;
     v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
@@ -366,7 +366,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_3 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
-    i_3 = 1.0f / d_3;
+i_3 = 1.0f / d_3;
     v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
     l_4_3 = v_4_3 * i_3;
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
@@ -375,14 +375,14 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_4 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
-    i_4 = 1.0f / d_4;
+i_4 = 1.0f / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
     if (!(d_5 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
-    i_5 = 1.0f / d_5;
+i_5 = 1.0f / d_5;
     n_1_0 = skewed_thrusters_f32_abs(l_1_0);
     n_2_1 = skewed_thrusters_f32_abs(l_2_1);
     n_2_0 = skewed_thrusters_f32_abs(l_2_0) + skewed_thrusters_f32_abs(l_2_1) * n_1_0;
@@ -558,9 +558,8 @@ static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_
     skewed_thrusters_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float skewed_thrusters_f32_qr_bound(const skewed_thrusters_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -574,10 +573,6 @@ static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
     const float *const row_5 = f->at[5]->l;
     float n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     float bound;
-    float total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = skewed_thrusters_f32_abs(row_1[0]);
     n_2_1 = skewed_thrusters_f32_abs(row_2[1]);
     n_2_0 = skewed_thrusters_f32_abs(row_2[0]) + skewed_thrusters_f32_abs(row_2[1]) * n_1_0;
@@ -606,6 +601,19 @@ static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0f);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0f);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = skewed_thrusters_f32_qr_bound(f);
     return bound * total < SKEWED_THRUSTERS_F32_QR_LIMIT;
 }
 
@@ -1032,28 +1040,6 @@ static int skewed_thrusters_f32_refuse(int status, skewed_thrusters_f32_info *in
         info->residual = 0.0f;
     }
     return status;
-}
-
-/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static float skewed_thrusters_f32_norm(const float *v)
-{
-    float square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
-    const uint32_t biased = skewed_thrusters_f32_magnitude(square) >> SKEWED_THRUSTERS_F32_FRACTION_BITS;
-    int unit, i;
-    if (biased >= SKEWED_THRUSTERS_F32_ANSWER_LOW && biased <= SKEWED_THRUSTERS_F32_ANSWER_HIGH) {
-        return skewed_thrusters_f32_sqrt(square);
-    }
-    unit = skewed_thrusters_f32_exponent(skewed_thrusters_f32_largest(v, 6));
-    if (unit == SKEWED_THRUSTERS_F32_NO_EXPONENT) {
-        return 0.0f;
-    }
-    square = 0.0f;
-    for (i = 0; i < 6; ++i) {
-        const float part = skewed_thrusters_f32_shift(v[i], -unit);
-        square += part * part;
-    }
-    return skewed_thrusters_f32_shift(skewed_thrusters_f32_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1864,6 +1850,45 @@ int skewed_thrusters_f32_pinv(const float *S, float *S_pinv, skewed_thrusters_f3
     return skewed_thrusters_f32_pinv_core(S, S_pinv, info);
 }
 
+/* A row times a column, in four sums side by side. */
+static SKEWED_THRUSTERS_F32_INLINE_WITH_VECTORS float skewed_thrusters_f32_known_row(const float *row,
+    const float *column)
+{
+    float sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = row[k] * column[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += row[k + 4] * column[k + 4];
+    }
+    return ((sum[0] + sum[2]) + (sum[1] + sum[3]));
+}
+
+/* |z - S tau|. */
+static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_known_residual(const float *S, const float *z,
+    const float *y, const float *tau)
+{
+    const float rest_0 = z[0] - skewed_thrusters_f32_known_row(S, tau);
+    const float rest_1 = z[1] - skewed_thrusters_f32_known_row(S + 8, tau);
+    const float rest_2 = z[2] - skewed_thrusters_f32_known_row(S + 16, tau);
+    const float rest_3 = z[3] - skewed_thrusters_f32_known_row(S + 24, tau);
+    const float rest_4 = z[4] - skewed_thrusters_f32_known_row(S + 32, tau);
+    const float rest_5 = z[5] - skewed_thrusters_f32_known_row(S + 40, tau);
+    const float square = (rest_0 * rest_0 + rest_1 * rest_1 + rest_2 * rest_2)
+        + (rest_3 * rest_3 + rest_4 * rest_4 + rest_5 * rest_5);
+    float residual;
+    if (skewed_thrusters_f32_within(skewed_thrusters_f32_biased_square(square), SKEWED_THRUSTERS_F32_ANSWER_LOW,
+            SKEWED_THRUSTERS_F32_ANSWER_HIGH)) {
+        return skewed_thrusters_f32_sqrt(square);
+    }
+    if (rest_0 == 0.0f && rest_1 == 0.0f && rest_2 == 0.0f && rest_3 == 0.0f && rest_4 == 0.0f && rest_5 == 0.0f) {
+        return 0.0f; /* as where S only picks controls */
+    }
+    (void)skewed_thrusters_f32_consistent(S, z, y, tau, &residual); /* something has left the range */
+    return residual;
+}
+
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
 static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
     const skewed_thrusters_f32_info *known, const float *z, const float *y, float *tau,
@@ -1901,17 +1926,7 @@ static int skewed_thrusters_f32_solve_known(const float *S, const float *S_pinv,
             status = SKEWED_THRUSTERS_F32_RANK_DEFICIENT_INCONSISTENT;
         }
     } else if (info != NULL) {
-        for (i = 0; i < 6; ++i) {
-            rest[i] = z[i];
-            for (j = 0; j < 8; ++j) {
-                rest[i] -= S[8 * i + j] * found[j];
-            }
-        }
-        residual = skewed_thrusters_f32_norm(rest);
-        /* a product has left the range */
-        if (skewed_thrusters_f32_magnitude(residual) >= SKEWED_THRUSTERS_F32_INFINITY_BITS) {
-            (void)skewed_thrusters_f32_consistent(S, z, y, found, &residual);
-        }
+        residual = skewed_thrusters_f32_known_residual(S, z, y, found);
     }
     if (info != NULL) {
         *info = *known;

@@ -45,18 +45,18 @@
 #define SKEWED_THRUSTERS_ANSWER_HIGH 1923
 /* singular values at or below this part of the largest count as zero */
 #define SKEWED_THRUSTERS_RTOL 1.7763568394002505e-15
-#define SKEWED_THRUSTERS_SQUARE_LOW_0 523 /* exponents of row 0's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_0 1523
-#define SKEWED_THRUSTERS_SQUARE_LOW_1 523 /* exponents of row 1's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_1 1523
-#define SKEWED_THRUSTERS_SQUARE_LOW_2 523 /* exponents of row 2's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_2 1523
-#define SKEWED_THRUSTERS_SQUARE_LOW_3 523 /* exponents of row 3's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_3 1523
-#define SKEWED_THRUSTERS_SQUARE_LOW_4 523 /* exponents of row 4's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_4 1523
-#define SKEWED_THRUSTERS_SQUARE_LOW_5 523 /* exponents of row 5's square with which nothing needs scaling */
-#define SKEWED_THRUSTERS_SQUARE_HIGH_5 1523
+#define SKEWED_THRUSTERS_SQUARE_LOW_0 553 /* exponents of row 0's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_0 1493
+#define SKEWED_THRUSTERS_SQUARE_LOW_1 553 /* exponents of row 1's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_1 1493
+#define SKEWED_THRUSTERS_SQUARE_LOW_2 553 /* exponents of row 2's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_2 1493
+#define SKEWED_THRUSTERS_SQUARE_LOW_3 553 /* exponents of row 3's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_3 1493
+#define SKEWED_THRUSTERS_SQUARE_LOW_4 553 /* exponents of row 4's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_4 1493
+#define SKEWED_THRUSTERS_SQUARE_LOW_5 553 /* exponents of row 5's square with which nothing needs scaling */
+#define SKEWED_THRUSTERS_SQUARE_HIGH_5 1493
 /* a pivot below this part of its diagonal entry exceeds the next limit */
 #define SKEWED_THRUSTERS_NORMAL_FLOOR 3.666852862501036e-11
 /* up to this bound the normal equations are accurate, and no SVD is needed */
@@ -324,7 +324,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     if (!(d_0 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -339,7 +339,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     if (!(d_1 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     v_3_1 = g_3_1 - v_3_0 * l_1_0;
@@ -352,7 +352,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     if (!(d_2 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0 / d_2;
+i_2 = 1.0 / d_2;
     v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
     l_3_2 = v_3_2 * i_2;
     v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
@@ -363,7 +363,7 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     if (!(d_3 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
-    i_3 = 1.0 / d_3;
+i_3 = 1.0 / d_3;
     v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
     l_4_3 = v_4_3 * i_3;
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
@@ -372,14 +372,14 @@ static int skewed_thrusters_normal_factor(const double *B, skewed_thrusters_norm
     if (!(d_4 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
-    i_4 = 1.0 / d_4;
+i_4 = 1.0 / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
     if (!(d_5 > SKEWED_THRUSTERS_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
-    i_5 = 1.0 / d_5;
+i_5 = 1.0 / d_5;
     n_1_0 = skewed_thrusters_abs(l_1_0);
     n_2_1 = skewed_thrusters_abs(l_2_1);
     n_2_0 = skewed_thrusters_abs(l_2_0) + skewed_thrusters_abs(l_2_1) * n_1_0;
@@ -551,9 +551,8 @@ static void skewed_thrusters_qr_factor(const double *B, skewed_thrusters_qr *f)
     skewed_thrusters_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double skewed_thrusters_qr_bound(const skewed_thrusters_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -567,10 +566,6 @@ static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
     const double *const row_5 = f->at[5]->l;
     double n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     double bound;
-    double total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = skewed_thrusters_abs(row_1[0]);
     n_2_1 = skewed_thrusters_abs(row_2[1]);
     n_2_0 = skewed_thrusters_abs(row_2[0]) + skewed_thrusters_abs(row_2[1]) * n_1_0;
@@ -599,6 +594,19 @@ static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 8.88e-15 |B|_F: sigma_min >= bound^(-1/2) - 7.1e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int skewed_thrusters_qr_certified(const skewed_thrusters_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = skewed_thrusters_qr_bound(f);
     return bound * total < SKEWED_THRUSTERS_QR_LIMIT;
 }
 
@@ -1022,28 +1030,6 @@ static int skewed_thrusters_refuse(int status, skewed_thrusters_info *info)
         info->residual = 0.0;
     }
     return status;
-}
-
-/* |v| of 6 numbers. Their squares are added as they are where the sum lies in a range in which none that matters
-   vanishes. */
-static double skewed_thrusters_norm(const double *v)
-{
-    double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] + v[4] * v[4] + v[5] * v[5];
-    const uint64_t biased = skewed_thrusters_magnitude(square) >> SKEWED_THRUSTERS_FRACTION_BITS;
-    int unit, i;
-    if (biased >= SKEWED_THRUSTERS_ANSWER_LOW && biased <= SKEWED_THRUSTERS_ANSWER_HIGH) {
-        return skewed_thrusters_sqrt(square);
-    }
-    unit = skewed_thrusters_exponent(skewed_thrusters_largest(v, 6));
-    if (unit == SKEWED_THRUSTERS_NO_EXPONENT) {
-        return 0.0;
-    }
-    square = 0.0;
-    for (i = 0; i < 6; ++i) {
-        const double part = skewed_thrusters_shift(v[i], -unit);
-        square += part * part;
-    }
-    return skewed_thrusters_shift(skewed_thrusters_sqrt(square), unit);
 }
 
 /* Whether tau meets every row of S tau = z to a small backward error, that is, exactly for some S, y and z that differ
@@ -1852,6 +1838,44 @@ int skewed_thrusters_pinv(const double *S, double *S_pinv, skewed_thrusters_info
     return skewed_thrusters_pinv_core(S, S_pinv, info);
 }
 
+/* A row times a column, in four sums side by side. */
+static SKEWED_THRUSTERS_INLINE_WITH_VECTORS double skewed_thrusters_known_row(const double *row, const double *column)
+{
+    double sum[4];
+    int k;
+    for (k = 0; k < 4; ++k) {
+        sum[k] = row[k] * column[k];
+    }
+    for (k = 0; k < 4; ++k) {
+        sum[k] += row[k + 4] * column[k + 4];
+    }
+    return ((sum[0] + sum[2]) + (sum[1] + sum[3]));
+}
+
+/* |z - S tau|. */
+static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_known_residual(const double *S, const double *z,
+    const double *y, const double *tau)
+{
+    const double rest_0 = z[0] - skewed_thrusters_known_row(S, tau);
+    const double rest_1 = z[1] - skewed_thrusters_known_row(S + 8, tau);
+    const double rest_2 = z[2] - skewed_thrusters_known_row(S + 16, tau);
+    const double rest_3 = z[3] - skewed_thrusters_known_row(S + 24, tau);
+    const double rest_4 = z[4] - skewed_thrusters_known_row(S + 32, tau);
+    const double rest_5 = z[5] - skewed_thrusters_known_row(S + 40, tau);
+    const double square = (rest_0 * rest_0 + rest_1 * rest_1 + rest_2 * rest_2)
+        + (rest_3 * rest_3 + rest_4 * rest_4 + rest_5 * rest_5);
+    double residual;
+    if (skewed_thrusters_within(skewed_thrusters_biased_square(square), SKEWED_THRUSTERS_ANSWER_LOW,
+            SKEWED_THRUSTERS_ANSWER_HIGH)) {
+        return skewed_thrusters_sqrt(square);
+    }
+    if (rest_0 == 0.0 && rest_1 == 0.0 && rest_2 == 0.0 && rest_3 == 0.0 && rest_4 == 0.0 && rest_5 == 0.0) {
+        return 0.0; /* as where S only picks controls */
+    }
+    (void)skewed_thrusters_consistent(S, z, y, tau, &residual); /* something has left the range */
+    return residual;
+}
+
 /* tau = y + S+ (z - S y) with S+ at hand as S_pinv. y may be NULL. */
 static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, const skewed_thrusters_info *known,
     const double *z, const double *y, double *tau, skewed_thrusters_info *info)
@@ -1888,17 +1912,7 @@ static int skewed_thrusters_solve_known(const double *S, const double *S_pinv, c
             status = SKEWED_THRUSTERS_RANK_DEFICIENT_INCONSISTENT;
         }
     } else if (info != NULL) {
-        for (i = 0; i < 6; ++i) {
-            rest[i] = z[i];
-            for (j = 0; j < 8; ++j) {
-                rest[i] -= S[8 * i + j] * found[j];
-            }
-        }
-        residual = skewed_thrusters_norm(rest);
-        /* a product has left the range */
-        if (skewed_thrusters_magnitude(residual) >= SKEWED_THRUSTERS_INFINITY_BITS) {
-            (void)skewed_thrusters_consistent(S, z, y, found, &residual);
-        }
+        residual = skewed_thrusters_known_residual(S, z, y, found);
     }
     if (info != NULL) {
         *info = *known;

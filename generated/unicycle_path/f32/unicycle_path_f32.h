@@ -46,8 +46,8 @@ typedef struct unicycle_path_f32_info {
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
     float sigma_min; /* smallest of the singular values of S as given,
         min(m, l) of them; by UNICYCLE_PATH_F32_PATH_NORMAL and
-                         UNICYCLE_PATH_F32_PATH_QR a proven lower bound: at least 0.91 of it, less rounding, which
-                         leaves a tenth */
+                         UNICYCLE_PATH_F32_PATH_QR a proven lower bound: at least 0.81 of it, less rounding, which
+                         leaves 0.20 */
     float residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } unicycle_path_f32_info;
 

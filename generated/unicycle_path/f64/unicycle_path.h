@@ -45,8 +45,8 @@ typedef struct unicycle_path_info {
     int sweeps;         /* of the longest Jacobi iteration; 0 for closed forms */
     double sigma_min; /* smallest of the singular values of S as given,
         min(m, l) of them; by UNICYCLE_PATH_PATH_NORMAL and
-                         UNICYCLE_PATH_PATH_QR a proven lower bound: at least 0.91 of it, less rounding, which leaves a
-                         tenth */
+                         UNICYCLE_PATH_PATH_QR a proven lower bound: at least 0.81 of it, less rounding, which leaves
+                         0.20 */
     double residual;  /* 2-norm of z - S tau; 0 where there is no z */
 } unicycle_path_info;
 

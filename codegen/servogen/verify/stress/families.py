@@ -474,8 +474,11 @@ def _limited(draw: _Draw, shapes: tuple[tuple[int, int], ...] = LIMITED_SHAPES) 
     return Family(lambda task, bench: within_limits(task, bench, draw), shapes=shapes, part=100, long=True)
 
 
-SVD, RAW = Solver(method="svd"), Solver(rank="raw")
+SVD, RAW, COD = Solver(method="svd"), Solver(rank="raw"), Solver(method="cod")
 GAP = Solver(rank="raw", rtol=2.0**-12)
+CORE = "SVD core"
+"""The family that calls the SVD inside alone, and no solver."""
+OF_COD = ((2, 2), (2, 3), (3, 7), (7, 3), (6, 12), (12, 12))
 
 FAMILIES: dict[str, Family] = {
     "dlatms spectra": Family(_spectra, _is_wide),
@@ -495,7 +498,7 @@ FAMILIES: dict[str, Family] = {
     "rank with a gap": Family(_gaps, lambda m, l: min(m, l) > 1, GAP, part=2500),
     "near overflow and underflow": Family(_extremes),
     "NaN and infinity": Family(_nonfinite, part=1000),
-    "SVD core": Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500, tools=("gcc",)),
+    CORE: Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500, tools=("gcc",)),
     "sweeps": Family(_sweeps, lambda m, l: min(m, l) > 1, SVD, times=10, part=5000),
     "2x2 of 0 and +-1": Family(_small_integers, lambda m, l: (m, l) == (2, 2), finite=True),
     "subnormal 2x2": Family(_subnormal, lambda m, l: (m, l) == (2, 2), finite=True),
@@ -509,6 +512,15 @@ FAMILIES: dict[str, Family] = {
         part=200_000,
         long=True,
         tools=("gcc",),
+    ),
+    "dlatms spectra, COD": Family(_spectra, solver=COD, shapes=OF_COD),
+    "rank-deficient and consistent, COD": Family(lambda t, b: _products(t, b, True), solver=COD, shapes=OF_COD),
+    "rank-deficient and inconsistent, COD": Family(lambda t, b: _products(t, b, False), solver=COD, shapes=OF_COD),
+    "zero and parallel rows, COD": Family(_degenerate_rows, solver=COD, shapes=OF_COD),
+    "near overflow and underflow, COD": Family(_extremes, solver=COD, shapes=OF_COD),
+    "NaN and infinity, COD": Family(_nonfinite, solver=COD, shapes=OF_COD, part=1000),
+    "every shape, COD": Family(
+        _every_shape, solver=COD, shapes=EVERY, times=0.036, part=1000, long=True, tools=("gcc", "clang")
     ),
     "every shape": Family(_every_shape, shapes=EVERY, times=0.036, part=1000, long=True, tools=("gcc", "clang")),
 }
