@@ -2,9 +2,12 @@
 
 import json
 import os
+import re
 
 import pytest
+import servogen as sg
 from servogen.loading import builtin_names, load_scene
+from servogen.tools import firmware_sim
 from servogen.verify.campaign import campaign_header, read_campaign, run_campaign
 from servogen.verify.generated import FOLDERS, committed_folder
 
@@ -53,6 +56,7 @@ def test_every_scene(scalar, board, need_target, tmp_path):
         assert last.statuses["OK"] + last.statuses.get("REGULARISED", 0) > 0.5 * VECTORS
         assert all(e.instructions > 0 and e.stack > 0 for e in result.entries)
     assert any("RANK_DEFICIENT_INCONSISTENT" in r.entries[-1].statuses for r in there)
+    assert {"lam", "closure"} <= {e.entry for r in there for e in r.entries}  # of loops
 
 
 def test_float64_in_software(need_target, tmp_path):
@@ -68,7 +72,7 @@ def test_smoke(board, need_target, tmp_path):
 
 
 LOG = """harness prefix=p
-campaign entry=z vectors=5 hash=01 touched=0 worst=9 vector=3 total=1e stack=8 statuses=0,0,0,0,1,4,0,0,0,0,0
+campaign entry=z vectors=5 hash=01 touched=0 worst=9 vector=3 total=1e stack=8 statuses=0,0,0,0,0,1,4,0,0,0,0,0
 verdict pass=1
 """
 
@@ -93,3 +97,9 @@ def test_nothing_is_believed_that_the_lines_do_not_prove(old, new, code, problem
     if not problem:
         assert result.entries[0].statuses == {"NONFINITE": 1, "OK": 4}
         assert result.entries[0].total == 30
+
+
+def test_every_status_is_counted():
+    told = re.search(r"LOWEST = (-\d+), STATUSES = (\d+)", (firmware_sim() / "harness" / "campaign.c").read_text())
+    lowest, count = map(int, told.groups())
+    assert (lowest, lowest + count - 1) == (min(sg.Status), max(sg.Status))
