@@ -63,7 +63,7 @@ def build(
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    for what, given in (("limits", scene.sides is not None), ("priorities", len(scene.levels) > 1)):
+    for what, given in (("limits", scene.sides is not None), ("priorities or active='input'", scene.cascaded)):
         if core is not None and given:
             raise SceneError(
                 f"scene {scene.name!r}: a core (core={core!r}) with {what} is not built; leave out core for this scene"

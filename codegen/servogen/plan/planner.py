@@ -45,7 +45,7 @@ def plan(
     entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
     solvers = _plan_solvers(formulation, noise, law, target)
     known = _plan_known_matrix(law, staged, cutter, solvers)
-    if known is not None:  # inverted once and for all: the exact sigma_min costs no tick anything
+    if known is not None and solvers[SYSTEM].method != "cod":  # inverted once: the exact value costs no tick anything
         solvers[SYSTEM] = dataclasses.replace(solvers[SYSTEM], sigma_min="exact")
     law = check_legal(_at_hand(law, known.name) if known is not None else law)
     for step in law.steps():
@@ -215,8 +215,8 @@ def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
-    if len(scene.levels) > 1:
-        text.append(repr(scene.levels))
+    if scene.cascaded:
+        text.append(repr((scene.levels, scene.switches)))
     if scene.sides is not None:
         text += [
             scene.sides.policy,

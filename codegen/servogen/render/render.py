@@ -272,6 +272,8 @@ def _solver_cost(module: Module) -> str:
     costs = solver_operations(module.solver)
     if "closed_form" in costs:
         return f"{costs['closed_form']['total']} operations, closed form"
+    if "cod" in costs:
+        return f"{costs['qr']['total']} operations at full rank, at most {costs['cod']['total']} below (no iteration)"
     usual = f"{costs['normal']['total']} operations (normal equations), " if "normal" in costs else ""
     return f"{usual}at most {costs['svd']['total']} (SVD, at most {module.solver.sweep_cap} sweeps)"
 

@@ -125,7 +125,8 @@ def _outline(run: "Trajectory", off: "_Off") -> Outline:
     """The bare facts of the rows."""
 
     def first(rows: Any) -> int | None:
-        return int(np.argmax(rows)) if np.any(rows) else None
+        found = np.flatnonzero(rows)
+        return int(found[0]) if len(found) else None
 
     return Outline(
         rows=len(run.t),
@@ -228,6 +229,8 @@ class _Off:
 
 def _off(run: "Trajectory") -> _Off:
     claim = run.claim
+    if not np.any(np.isfinite(claim.tolerance)):
+        return _Off(None, False, "nothing is claimed of constraints that come and go")
     deviation = np.abs(run.constraint - run.ideal).astype(float)
     share = deviation / claim.tolerance
     largest = share.max(axis=1)
