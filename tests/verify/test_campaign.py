@@ -54,6 +54,7 @@ def test_every_scene(scalar, board, need_target, tmp_path):
         assert last.statuses["OK"] + last.statuses.get("REGULARISED", 0) > 0.5 * VECTORS
         assert all(e.instructions > 0 and e.stack > 0 for e in result.entries)
     assert any("RANK_DEFICIENT_INCONSISTENT" in r.entries[-1].statuses for r in there)
+    assert {"lam", "closure"} <= {e.entry for r in there for e in r.entries}  # of loops
 
 
 def test_float64_in_software(need_target, tmp_path):

@@ -55,7 +55,8 @@ def _remedy(samples: Samples, found: MassFindings, row: int) -> str:
     most = mech.q.size1() + mech.u.size1()
     degree = row_degrees(samples, found, constraint, most)[row]
     if degree is None:
-        return "No control moves it, however often it is differentiated; constrain a quantity that the controls change"
+        held = ", or the passive constraints leave it no motion" if mech.passive else ""
+        return f"No control moves it, however often it is differentiated{held}; constrain what the controls change"
     if degree == 2 and not ca.depends_on(expression, mech.u):  # what a beginner does, in words without degrees
         return "It is a function of q alone: declare it as sg.Holonomic, whose second derivative the controls reach"
     return (
