@@ -54,6 +54,28 @@ def rank(S: Matrix) -> int:
     return int(S.rank())
 
 
+def rank_by_pivots(S: Matrix, rtol: float) -> int:
+    """How many pivots of a QR of the rows of S (the columns where it is tall) exceed rtol times the first.
+
+    By the diagonal pivots of the Gram matrix, which are their squares.
+    """
+    A = S if S.nrows() <= S.ncols() else S.transpose()
+    gram = A * A.transpose()
+    left, first = list(range(A.nrows())), None
+    for found in range(A.nrows()):
+        best = max(left, key=lambda i: gram[i, i])
+        pivot = gram[best, best]
+        first = pivot if first is None else first
+        if pivot <= _fmpq(rtol) * _fmpq(rtol) * first:
+            return found
+        left.remove(best)
+        for i in left:
+            factor = gram[i, best] / pivot
+            for j in left:
+                gram[i, j] -= factor * gram[best, j]
+    return int(A.nrows())
+
+
 def nearest(A: Matrix) -> FloatArray:
     """The nearest doubles (overflow gives infinity); the shape is A's."""
     values = np.empty((A.nrows(), A.ncols()))

@@ -269,6 +269,8 @@ def test_singular_vectors_are_orthogonal_however_small_the_value(shape, scalar, 
         sg.Solver(rtol=0.05),
         sg.Solver(rank="raw", rtol=0.05),
         sg.Solver(atol=1.0),
+        sg.Solver(method="cod"),
+        sg.Solver(method="cod", rank="raw", atol=1.0),
     ],
 )
 @pytest.mark.parametrize("shape", [(1, 2), (3, 1), (2, 2), (3, 3), (3, 7), (7, 3)])
@@ -535,3 +537,46 @@ def test_sweeps_stay_below_the_cap(shape, scalar):
         _, info = twin(m, l, scalar).solve(S.astype(scalar), np.ones((N, m)))
         assert (np.asarray(info.status) >= 0).all()
         assert np.asarray(info.sweeps).max() < cap
+
+
+def kahan(n: int, cosine: float) -> np.ndarray:
+    """Kahan's triangle, its diagonal raised by a few eps so that rounding moves no pivot."""
+    sine = np.sqrt(1 - cosine**2)
+    rows = np.diag(sine ** np.arange(n)) @ (np.eye(n) - cosine * np.triu(np.ones((n, n)), 1))
+    return rows + 1e3 * EPSILON["float64"] * np.diag(np.arange(n, 0, -1))
+
+
+def test_cod_decides_the_rank_by_pivots_where_the_svd_decides_otherwise():
+    """Kahan's matrix: its last pivot far exceeds the smallest singular value, which sigma_min tells all the same."""
+    n = 12
+    R = kahan(n, 0.8)
+    sigma = np.linalg.svd(R, compute_uv=False)
+    pivot = R[-1, -1] / R[0, 0]
+    assert pivot > 100 * sigma[-1] / sigma[0]
+    rtol = float(np.sqrt(pivot * sigma[-1] / sigma[0]))  # between the two
+    S = R.T  # the pivots are those of the rows
+    _, by_pivots = twin(n, n, solver=sg.Solver(method="cod", rank="raw", rtol=rtol)).solve(S, np.ones(n))
+    _, by_values = twin(n, n, solver=sg.Solver(rank="raw", rtol=rtol)).solve(S, np.ones(n))
+    assert (by_pivots.rank, by_values.rank) == (n, n - 1)
+    assert 0.1 * sigma[-1] < by_pivots.sigma_min <= sigma[-1]
+    assert exact.rank_by_pivots(exact.rational(S), rtol) == n
+
+
+@pytest.mark.parametrize("scalar", SCALARS)
+def test_cod_takes_the_same_path_whatever_the_unit(scalar):
+    """Of the quick and of the scaled path: the same bits, but for the powers of two; no sweep anywhere."""
+    generator = np.random.default_rng(5)
+    solver = sg.Solver(method="cod")
+    S = generator.standard_normal((200, 3, 7)).astype(scalar)
+    S[::3, 2] = S[::3, 0]
+    z = generator.standard_normal((200, 3)).astype(scalar)
+    y = generator.standard_normal((200, 7)).astype(scalar)
+    tau, info = twin(3, 7, scalar, solver).solve(S, z, y)
+    reach = 500 if scalar == "float64" else 50
+    lowered, told = twin(3, 7, scalar, solver).solve(np.ldexp(S, -reach), z, np.ldexp(y, reach))
+    assert (np.ldexp(lowered, -reach) == tau).all()
+    assert (told.rank == info.rank).all()
+    assert (info.rank == np.where(np.arange(200) % 3, 3, 2)).all()
+    assert (info.sweeps == 0).all()
+    assert (info.path == Path.QR).all()
+    assert (info.sigma_min[info.rank == 2] == 0).all()

@@ -72,4 +72,6 @@ def test_plan_goes_to_json():
 
 def test_ladder_of_the_method():
     assert plan_solver(3, 7, "float64", Solver(method="svd")).ladder == (Path.SVD,)
+    assert plan_solver(3, 7, "float64", Solver(method="cod")).ladder == (Path.QR,)
+    assert plan_solver(1, 7, "float64", Solver(method="cod")).ladder == (Path.CLOSED_FORM,)
     assert plan_solver(1, 7, "float64", Solver()).ladder == (Path.CLOSED_FORM,)

@@ -32,6 +32,7 @@ SOLVERS = {
     "damped": Solver(damping=1e-2, atol=1e-6),
     "raw, damped": Solver(rank="raw", damping=0.1),
     "svd": Solver(method="svd"),
+    "cod": Solver(method="cod"),
 }
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (2, 3), (3, 2), (3, 7), (12, 12)]

@@ -365,7 +365,9 @@ def test_constants_that_do_not_fit_the_type() -> None:
         (lambda: sg.References(r=sg.Ref(0.0, order=1), r_dot=0.0), ("r_dot", "collides", "rename")),
         (lambda: sg.References(r_dot=0.0, r=sg.Ref(0.0, order=1)), ("r_dot", "collides", "rename")),
         (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the ref")),
-        (lambda: sg.Solver(method="qr"), ("method='qr'", "'auto' or 'svd'")),  # type: ignore[arg-type]
+        (lambda: sg.Solver(method="qr"), ("method='qr'", "'auto', 'svd' or 'cod'")),  # type: ignore[arg-type]
+        (lambda: sg.Solver(method="cod", damping=0.1), ("method='cod'", "damping=0.1", "singular values")),
+        (lambda: sg.Solver(method="cod", sigma_min="exact"), ("method='cod'", "iteration", "'bound'")),
         (lambda: sg.Solver(rank="full"), ("rank='full'",)),  # type: ignore[arg-type]
         (lambda: sg.Solver(rtol=1.0), ("rtol=1.0",)),
         (lambda: sg.Solver(damping=0.0), ("damping=0.0", "None")),

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
@@ -16,6 +16,7 @@ from servogen.plan.mathematics import Math
 from servogen.plan.module import mix_of
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
+from servogen.scene.solver import Method, Solver
 from servogen.scene.system import System
 from servogen.simulate.machine import plant_scene
 from servogen.simulate.simulation import Simulation
@@ -142,6 +143,14 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 @click.command()
 @click.argument("m", type=click.IntRange(1, 12))
 @click.argument("l", type=click.IntRange(1, 12))
+@click.option(
+    "--method",
+    type=click.Choice(get_args(Method)),
+    default="auto",
+    show_default=True,
+    help="How S+ is computed: the cheapest step proven safe, the SVD always, or a complete orthogonal decomposition "
+    "(no iteration, nearly the same time whatever S is).",
+)
 @click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
 @click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: solve of many systems at once, by vectors.")
 @scalar_option
@@ -152,6 +161,7 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
 def solver(
     m: int,
     l: int,
+    method: Method,
     limits: bool,
     batch: bool,
     scalar: Scalar,
@@ -162,7 +172,8 @@ def solver(
 ) -> None:
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
-    built = build_solver(m, l, folder, scalar, prefix=prefix, math=math, limits=limits, batch=batch)
+    chosen = Solver(method=method)
+    built = build_solver(m, l, folder, scalar, chosen, prefix=prefix, math=math, limits=limits, batch=batch)
     _report([([built], [])], as_json)
 
 

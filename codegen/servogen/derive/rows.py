@@ -52,6 +52,7 @@ def behind(samples: Samples, found: MassFindings) -> Behind | None:
     for there, what in (
         (bool(mech.passive), "passive constraints"),
         (len(scene.levels) > 1, "priorities"),
+        (bool(scene.switches), "active='input'"),
         (scene.sides is not None and scene.sides.policy == "keep_direction", "limits of policy 'keep_direction'"),
     ):
         if there:

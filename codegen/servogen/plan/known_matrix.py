@@ -59,12 +59,17 @@ def judge(S: FloatArray, solver: SolverPlan) -> tuple[FloatArray, int, Status]:
     """S (m, l) with the rows that count as zero at zero, its rank, and its status if all rows can be met.
 
     As the solver would find them at run time, to 50 digits: rows within their atol are zero; the rank is that of the
-    rows brought to one size, or of S as it is; a singular value of what is kept below the damping regularises.
+    rows brought to one size, or of S as it is, by the pivots of a QR where the method is "cod"; a singular value of
+    what is kept below the damping regularises.
     """
     counted = np.where(np.max(np.abs(S), axis=1, keepdims=True) > np.array(solver.atol)[:, None], S, 0.0)
     length = np.linalg.norm(counted, axis=1)
     own = np.ldexp(1.0, np.frexp(np.where(length > 0, length, 1.0))[1] - 1)
-    kept = kept_singular_values(counted, own if solver.rank == "scaled" else np.ones(solver.m), solver.rtol)
+    units = own if solver.rank == "scaled" else np.ones(solver.m)
+    if solver.method == "cod" and solver.form == "full":
+        rank = exact.rank_by_pivots(exact.rational(counted / units[:, None]), solver.rtol)
+        return counted, rank, Status.OK if rank == solver.m else Status.RANK_DEFICIENT_CONSISTENT
+    kept = kept_singular_values(counted, units, solver.rtol)
     if solver.damping is not None and any(sigma < solver.damping for sigma in kept):
         return counted, len(kept), Status.REGULARISED
     return counted, len(kept), Status.OK if len(kept) == solver.m else Status.RANK_DEFICIENT_CONSISTENT

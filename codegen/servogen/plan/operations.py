@@ -11,7 +11,8 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     """Floating-point operations of `solve` with y, without info; exact scalings by powers of two left out.
 
     "closed_form" for one row or column (the usual case, no damping); else one entry a step of the ladder, each with
-    what the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap.
+    what the steps before it spent in vain: "normal", "qr" and "svd", the last with every loop at its cap. Of
+    method "cod": "qr" at full rank, "cod" below.
     """
     if plan.form == "row":
         return {"closed_form": _row(plan)}
@@ -21,6 +22,8 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     if plan.method == "svd":
         return {"svd": svd}
     normal, qr = _normal(plan), _qr(plan)
+    if plan.method == "cod":
+        return {"qr": qr, "cod": _cod(plan)}
     return {"normal": normal, "qr": _sum((1, normal), (1, qr)), "svd": _sum((1, normal), (1, qr), (1, svd))}
 
 
@@ -115,15 +118,41 @@ def _qr(plan: SolverPlan) -> Operations:
 
 def _svd(plan: SolverPlan) -> Operations:
     """The QR, the SVD of its triangle with all sweeps there may be, and what the answer takes from there."""
-    m, l, n = plan.m, plan.l, plan.count
     scaled = plan.rank == "scaled"
     decompose = _sum((1, _gram_schmidt(plan)), (1, _jacobi(plan)), (1, _vectors(plan)))
-    weigh = _sum(
+    runs = 1 + (scaled and (not plan.wide or plan.damping is not None))
+    return _sum((runs, decompose), (1, _from_factors(plan)), (int(scaled), _weigh(plan)))
+
+
+def _cod(plan: SolverPlan) -> Operations:
+    """The QR, its pivots made orthonormal once more, and for a tall S the other side too."""
+    n = plan.count
+    unit = _sum((_pairs(n), _sum((2, _dot(plan.width)), (1, _total(plan.width, plan.width)))), (n, _dot(plan.width)))
+    other = _sum((2 * _pairs(n), _sum((1, _dot(n)), (1, _total(n + 1, n)))), (n, _dot(n)), (n, _total(n, n, n, 1)))
+    join = _sum((_pairs(n) + n, _total(plan.width, plan.width)))
+    runs = 1 + (not plan.wide and plan.rank == "scaled")
+    return _sum(
+        (runs, _gram_schmidt(plan)),
+        (1, unit),
+        (n, _total(div=plan.width, sqrt=1)),
+        (int(not plan.wide), _sum((1, other), (1, join))),
+        (1, _weigh(plan)),
+        (1, _from_factors(plan)),
+    )
+
+
+def _weigh(plan: SolverPlan) -> Operations:
+    """The inverse of a tall triangle by reflections."""
+    m, n = plan.m, plan.count
+    return _sum(
         (m * n, _total(2 * m, 2 * m)), (n * n, _total(m, m)), (m * n, _total(n, n, 1)), (n, _total(div=1, sqrt=1))
     )
-    runs = 1 + (scaled and (not plan.wide or plan.damping is not None))
-    apply = _sum((n, _total(m + l, m + l + 1)))
-    return _sum((runs, decompose), (2, apply), (2, _residual(plan)), (1, _total(add=3 * l)), (int(scaled), weigh))
+
+
+def _from_factors(plan: SolverPlan) -> Operations:
+    """The answer and its refinement, from factors of both sides."""
+    apply = _sum((plan.count, _total(plan.m + plan.l, plan.m + plan.l + 1)))
+    return _sum((2, apply), (2, _residual(plan)), (1, _total(add=3 * plan.l)))
 
 
 def _gram_schmidt(plan: SolverPlan) -> Operations:

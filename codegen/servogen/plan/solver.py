@@ -16,7 +16,7 @@ from servogen.plan.layout import Form, Layout
 from servogen.plan.thresholds import CONSISTENCY, SWEEP_CAPS, RowRange, certificates, range_of_a_row, ranges
 from servogen.results import Path
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.solver import Solver
+from servogen.scene.solver import Method, Solver
 
 LARGEST = 12
 """Shapes run from 1 x 1 to LARGEST x LARGEST."""
@@ -26,13 +26,13 @@ LARGEST = 12
 class SolverPlan(Layout):
     """One pseudo-inverse, S of m x l. All numbers are exact in `scalar`."""
 
-    method: Literal["auto", "svd"]
+    method: Method
     rank: Literal["scaled", "raw"]
     rtol: float  # singular values at or below rtol times the largest count as zero
     atol: tuple[float, ...]  # per row: largest entry at or below it, and the row counts as zero
     damping: float | None  # eps_d, of the raw S
     epsilon: float  # eps
-    sweep_cap: int  # 0 for closed forms
+    sweep_cap: int  # 0 where nothing iterates
     orthogonal: float  # two vectors are left alone when |v w| <= orthogonal |v| |w|
     converged: float  # a sweep that met nothing above converged |v| |w| was the last: above the rounding of v w
     smallest_square: float  # a pivot whose squared length is below counts as zero: far below eps^2, safe to divide by
@@ -69,7 +69,9 @@ class SolverPlan(Layout):
     @property
     def path(self) -> Path:
         """The last step of the ladder."""
-        return Path.SVD if self.form == "full" else Path.CLOSED_FORM
+        if self.form != "full":
+            return Path.CLOSED_FORM
+        return Path.QR if self.method == "cod" else Path.SVD
 
     @property
     def ladder(self) -> tuple[Path, ...]:
@@ -78,8 +80,8 @@ class SolverPlan(Layout):
 
     @property
     def tells_bound(self) -> bool:
-        """Whether info tells a lower bound of sigma_min where a certificate held."""
-        return self.form == "full" and self.method == "auto" and self.sigma_min == "bound"
+        """Whether info tells a lower bound of sigma_min where no SVD ran."""
+        return self.form == "full" and self.method != "svd" and self.sigma_min == "bound"
 
     @property
     def sigma_share(self) -> float:
@@ -151,7 +153,9 @@ def plan_solver(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverPlan:
         atol=atol,
         damping=damping,
         epsilon=eps,
-        sweep_cap=next(cap for size, cap in SWEEP_CAPS if count <= size) if form == "full" else 0,
+        sweep_cap=next(cap for size, cap in SWEEP_CAPS if count <= size)
+        if form == "full" and solver.method != "cod"
+        else 0,
         orthogonal=_in_scalar(math.sqrt(max(m, l)) * eps / 2, scalar, "orthogonal"),
         converged=(max(m, l) + 4) * eps / 2,
         **certificates(m, l, eps, rtol),

@@ -19,6 +19,7 @@ from servogen.scene.solver import Solver
 class Policy:
     """Of S, m x l. rtol: singular values at or below rtol times the largest count as zero. atol: per row.
 
+    by_pivots: the rank is the number of pivots of a QR above rtol times the first.
     consistency: a row i is met where |z_i - S_i tau| is at most consistency (|S_i| (|tau| + |y|) + |z_i|).
     """
 
@@ -30,6 +31,7 @@ class Policy:
     atol: tuple[float, ...]
     damping: float | None
     consistency: float
+    by_pivots: bool = False
 
     @property
     def epsilon(self) -> float:
@@ -53,4 +55,5 @@ def policy_for(m: int, l: int, scalar: Scalar, solver: Solver, noise: Sequence[f
         atol=tuple(float(number(a)) for a in np.broadcast_to(np.asarray(given, dtype=float), m)),
         damping=None if solver.damping is None else float(number(solver.damping)),
         consistency=8 * longer * eps,
+        by_pivots=solver.method == "cod" and min(m, l) > 1,
     )

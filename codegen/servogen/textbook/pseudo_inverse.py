@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray, Info, Path, Status
+from servogen.textbook import pivoted
 from servogen.textbook.policy import Policy
 
 
@@ -102,8 +103,13 @@ def _factors(S: FloatArray, policy: Policy) -> tuple[FloatArray, FloatArray, Flo
     common = np.full(policy.m, largest)
     row_unit = own if policy.rank == "scaled" else common
 
-    left, sigma, right = _svd(S / row_unit[:, None])
-    rank = int(np.sum(sigma > policy.rtol * sigma[0]))
+    scaled = S / row_unit[:, None]
+    if policy.by_pivots:
+        kept, rank = pivoted.truncated(scaled, policy.rtol)
+        left, sigma, right = _svd(kept)
+    else:
+        left, sigma, right = _svd(scaled)
+        rank = int(np.sum(sigma > policy.rtol * sigma[0]))
     left, sigma, right = left[:, :rank], sigma[:rank], right[:, :rank]
     if policy.rank == "scaled":
         raw_left, raw_sigma, raw_right = _svd((own / largest)[:, None] * left * sigma @ right.T)
@@ -159,7 +165,7 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray
 def _info(status: Status, rank: int, S: FloatArray, residual: float, policy: Policy) -> Info:
     return Info(
         status=status,
-        path=Path.CLOSED_FORM if min(policy.m, policy.l) == 1 else Path.SVD,
+        path=Path.CLOSED_FORM if min(policy.m, policy.l) == 1 else Path.QR if policy.by_pivots else Path.SVD,
         rank=rank,
         sweeps=0,
         sigma_min=float(np.linalg.svd(S, compute_uv=False)[-1]),

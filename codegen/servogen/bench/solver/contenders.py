@@ -45,6 +45,7 @@ def variants(scalar: Scalar) -> tuple[Variant, ...]:
         Variant("servogen NORMAL, unproven", "normal", limits={"normal_limit": always, "normal_floor": 0.0}),
         Variant("servogen QR (NORMAL in vain)", "qr", limits={"normal_limit": 0.0}),
         Variant("servogen SVD", "svd", Solver(method="svd")),
+        Variant("servogen COD", "complete", Solver(method="cod")),
     )
     bare = tuple(
         dataclasses.replace(v, name=f"{v.name}, unrefined", prefix=f"{v.prefix}_bare", refined=False) for v in steps

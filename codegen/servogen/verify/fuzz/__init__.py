@@ -20,6 +20,7 @@ SHAPES = ((1, 3), (3, 1), (2, 2), (2, 3), (3, 3), (3, 7), (7, 3), (6, 12))
 POLICIES = {
     "default": Solver(),
     "svd": Solver(method="svd"),
+    "cod": Solver(method="cod"),
     "raw": Solver(rank="raw"),
     "damping": Solver(damping=0.5),
     "atol, raw, damping": Solver(rank="raw", atol=1.0, damping=2.0),

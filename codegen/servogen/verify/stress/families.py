@@ -465,10 +465,11 @@ def _is_wide(m: int, l: int) -> bool:
     return m <= l
 
 
-SVD, RAW = Solver(method="svd"), Solver(rank="raw")
+SVD, RAW, COD = Solver(method="svd"), Solver(rank="raw"), Solver(method="cod")
 GAP = Solver(rank="raw", rtol=2.0**-12)
 CORE = "SVD core"
 """The family that calls the SVD inside alone, and no solver."""
+OF_COD = ((2, 2), (2, 3), (3, 7), (7, 3), (6, 12), (12, 12))
 
 FAMILIES: dict[str, Family] = {
     "dlatms spectra": Family(_spectra, _is_wide),
@@ -500,6 +501,15 @@ FAMILIES: dict[str, Family] = {
         part=200_000,
         long=True,
         tools=("gcc",),
+    ),
+    "dlatms spectra, COD": Family(_spectra, solver=COD, shapes=OF_COD),
+    "rank-deficient and consistent, COD": Family(lambda t, b: _products(t, b, True), solver=COD, shapes=OF_COD),
+    "rank-deficient and inconsistent, COD": Family(lambda t, b: _products(t, b, False), solver=COD, shapes=OF_COD),
+    "zero and parallel rows, COD": Family(_degenerate_rows, solver=COD, shapes=OF_COD),
+    "near overflow and underflow, COD": Family(_extremes, solver=COD, shapes=OF_COD),
+    "NaN and infinity, COD": Family(_nonfinite, solver=COD, shapes=OF_COD, part=1000),
+    "every shape, COD": Family(
+        _every_shape, solver=COD, shapes=EVERY, times=0.036, part=1000, long=True, tools=("gcc", "clang")
     ),
     "every shape": Family(_every_shape, shapes=EVERY, times=0.036, part=1000, long=True, tools=("gcc", "clang")),
 }
