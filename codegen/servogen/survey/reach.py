@@ -103,10 +103,10 @@ def _dependence(scene: Scene, labels: list[str], values: FloatArray) -> tuple[st
     if scene.system.of_outputs:
         found = extend(scene)
         if not found.reason:
-            controls = " and ".join(f"{count} before {name}" for name, count in found.integrators.items())
-            degrees = ", ".join(map(str, found.degrees))
+            remedies = [f"{labels[k]} an sg.Output with Theta={thetas_of(found.degrees[k] or 0)}"
+                        for k in sorted(found.dependent)]  # fmt: skip
             return (
-                f"{told}the controls reach some of them too soon; with integrators, {controls}, their relative degree "
-                f"is {degrees} and they are independent (sg.analyse): drop one, or accept the least-squares answer",
+                f"{told}the controls reach some by way of others alone; make {' and '.join(remedies)}, of its own "
+                "beside the rest, or accept the least-squares answer",
             )
     return (f"{told}drop one, or accept the least-squares answer",)
