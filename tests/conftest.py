@@ -4,7 +4,7 @@ import hashlib
 import importlib
 import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from servogen import scene_program
 from servogen.optimise.search import Optimised
-from servogen.tools import ToolMissing, find_library, find_tool
+from servogen.tools import CompilerRefused, CompilerUnusable, ToolMissing, compile_c, find_library, find_tool
+from servogen.twins import compiled
+from servogen.verify import harness
 from servogen.verify.harness import require_target
 from support.missing import skip_or_fail
 
@@ -25,23 +27,71 @@ def one_search_a_program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 
     Tests of the search itself call it directly.
     """
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "searches"  # beside the workers
-    folder.mkdir(exist_ok=True)
+    folder = _shared_folder(tmp_path_factory, "searches")
     search = scene_program.search
 
     def search_once(program, states, minor, without) -> Optimised:
         said = str(program), {n: np.asarray(v).tolist() for n, v in states.items()}, sorted(minor), sorted(without)
         file = folder / hashlib.sha256(repr(said).encode()).hexdigest()
         if not file.exists():
-            partial = file.with_suffix(f".{os.getpid()}")
-            partial.write_bytes(pickle.dumps(search(program, states, minor, without)))
-            partial.replace(file)
+            _keep(file, pickle.dumps(search(program, states, minor, without)))
         return pickle.loads(file.read_bytes())
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scene_program, "search", search_once)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def harnesses_are_compiled_sooner() -> Iterator[None]:
+    """With -O1 where a test asks for no level: the same bits and answers. Certificates and hashes ask for theirs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(harness.run_harness.__kwdefaults__, "optimisation", "-O1")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_compilation_a_source(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Equal C of twins and loops is compiled once in a run, and with -O1 in place of -O2: the same bits, sooner.
+
+    That all levels give the same bits is what verify/test_bits.py shows; who tests a level, harnesses and benchmarks
+    call the compiler directly.
+    """
+    folder = _shared_folder(tmp_path_factory, "compiled")
+
+    def compile_once(command: Sequence[str], flags: Sequence[str], more: Sequence[str], what: str) -> None:
+        words = [*flags, *more]
+        texts = [Path(word).read_bytes() for word in words if word.endswith(".c")]
+        texts += [h.read_bytes() for word in words if word.startswith("-I") for h in sorted(Path(word[2:]).glob("*.h"))]
+        said = command, [w for w in words if not w.startswith(("-I", "/"))], [hashlib.sha256(t).digest() for t in texts]
+        file, library = folder / hashlib.sha256(repr(said).encode()).hexdigest(), Path(more[more.index("-o") + 1])
+        if file.exists():
+            library.write_bytes(file.read_bytes())
+            return
+        try:
+            compile_c(command, ["-O1" if word == "-O2" else word for word in flags], more, what)
+        except (CompilerRefused, CompilerUnusable):
+            compile_c(command, flags, more, what)  # it is this one's words that a user reads
+        _keep(file, library.read_bytes())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "compile_c", compile_once)
+        yield
+
+
+def _shared_folder(tmp_path_factory: pytest.TempPathFactory, name: str) -> Path:
+    """A folder that all processes of a run have together."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name  # beside the workers
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _keep(file: Path, content: bytes) -> None:
+    """Write a file that other processes see whole or not at all."""
+    partial = file.with_suffix(f".{os.getpid()}")
+    partial.write_bytes(content)
+    partial.replace(file)
 
 
 @pytest.fixture(scope="session")

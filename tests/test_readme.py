@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 PYTHON = (ROOT / "codegen" / "docs" / "python.md").read_text()
 
+BATCHES = (ROOT / "codegen" / "docs" / "batches.md").read_text()
+
 
 def block(language: str, text: str = README) -> str:
     return re.search(rf"```{language}\n(.*?)```", text, re.DOTALL).group(1)
@@ -74,6 +76,18 @@ def test_the_simulation_of_the_docs_runs_as_they_say(tmp_path):
     assert told["stop"]["event"] == "end of the track"
     assert told["constraint_error"] < 1e-9
     assert told["decay_error"]["lag"] < 1e-9
+
+
+def test_the_batches_of_the_docs_run_as_they_say(tmp_path):
+    """A map of the workspace is drawn, and training makes the arm's spare motion smaller."""
+    for number, code in enumerate(re.findall(r"```python\n(.*?)```", BATCHES, re.DOTALL)):
+        (tmp_path / f"{number}.py").write_text(code)
+        done = subprocess.run([sys.executable, f"{number}.py"], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "workspace.png").stat().st_size > 10_000
+    unrest = [float(x) for x in re.findall(r"unrest (\S+)", done.stdout)]
+    assert len(unrest) == 5
+    assert unrest[-1] < 0.95 * unrest[0]
 
 
 def test_the_units_of_the_docs_run_as_they_say(tmp_path):

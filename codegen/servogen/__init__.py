@@ -3,14 +3,15 @@
 The method is Bajodah, Hodges and Chen, "Inverse Dynamics of Servo-Constraints Based on the Generalized Inverse" (2004).
 """
 
-from servogen import urdf
+from servogen import mjcf, urdf
+from servogen.analysis.analyse import Analysis, analyse
 from servogen.compiler import build, build_solver, reference
 from servogen.errors import SceneError
 from servogen.fmu.unit import build_fmu
 from servogen.package import Package
 from servogen.remarks import Remark
 from servogen.results import Batch, Control, Info, Path, Status
-from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Nonholonomic, Output
 from servogen.scene.limits import Limits
 from servogen.scene.mechanism import Mechanism
 from servogen.scene.passive import PassiveHolonomic, PassiveNonholonomic
@@ -25,6 +26,7 @@ __version__ = VERSION
 
 __all__ = [
     "Actuators",
+    "Analysis",
     "Batch",
     "Control",
     "ControlsInvolved",
@@ -33,6 +35,7 @@ __all__ = [
     "Limits",
     "Mechanism",
     "Nonholonomic",
+    "Output",
     "Package",
     "Parameter",
     "Parameters",
@@ -48,9 +51,11 @@ __all__ = [
     "Solver",
     "Status",
     "__version__",
+    "analyse",
     "build",
     "build_fmu",
     "build_solver",
+    "mjcf",
     "reference",
     "urdf",
 ]

@@ -9,6 +9,7 @@ import numpy as np
 
 from servogen.derive.derive import derive
 from servogen.derive.formulation import Formulation, MassTreatment, Quantity
+from servogen.derive.lie import Drift
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
 from servogen.errors import SceneError
@@ -28,6 +29,7 @@ from servogen.scene.scene import Scene, check_scene
 from servogen.scene.solver import Solver
 from servogen.scene_program import SceneProgram, optimise_formulation, optimise_quantities
 from servogen.survey.definiteness import survey_mass, survey_weight
+from servogen.survey.degree import survey_degree
 from servogen.survey.noise import survey_noise
 from servogen.survey.reach import survey_reach, survey_values
 from servogen.twins.reference import ReferenceTwin, reference_twin
@@ -43,6 +45,7 @@ def build(
     casadi_abi: bool = False,
     entry_points: Sequence[str] | None = None,
     core: str | None = None,
+    batch: bool = False,
 ) -> Package:
     """Generate the C of a scene.
 
@@ -54,22 +57,29 @@ def build(
     core: a name, "servogen_core" say: what controllers of one image can share (types of status and info, solvers of
     equal shapes and options, sin, cos and sqrt) goes into <core>.h and .c in the folder <core> beside `out`, which
     each package with that core extends; the answers are the same bits.
+    batch: also <prefix>_batch.h and .c, the control function of many states at once, by vectors: the same bits, on one
+    core of a PC with AVX2 several times as many states a second; `control_batch` of the loaded package then calls it.
     Raises SceneError for anything wrong with the scene, and for an entry point that it does not have; warns with an
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    if core is not None and scene.sides is not None:
-        raise SceneError(
-            f"scene {scene.name!r}: a core (core={core!r}) with limits is not built; leave out core for this scene"
-        )
+    for what, given in (("limits", scene.sides is not None), ("priorities", len(scene.levels) > 1)):
+        if core is not None and given:
+            raise SceneError(
+                f"scene {scene.name!r}: a core (core={core!r}) with {what} is not built; leave out core for this scene"
+            )
     target = target_for(scene.name, scalar, prefix, math, core)
     module = compile_scene(scene, target, entry_points=entry_points)
     if casadi_abi and not module.law.has("control"):
         raise SceneError(
             "casadi_abi: the shim calls control, which entry_points leave out; add it, or leave out the shim"
         )
+    if batch and not module.law.has("control"):
+        raise SceneError(
+            "batch: it is control that is done for many states; add it to entry_points, or leave out batch"
+        )
     remarks = review(scene) + derived_scene(scene)[0].remarks
-    files, shared = render_with_core(module, casadi_abi)
+    files, shared = render_with_core(module, casadi_abi, batch)
     package = write(files, out, module, scene, remarks, shared if core else None)
     say(remarks)
     return package
@@ -101,12 +111,19 @@ def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
     samples, model = draw_samples(scene), lower_model(scene)
     found = survey_mass(samples, model)
     survey_weight(samples, model)
+    survey_degree(samples, found)
     formulation = derive(samples, found)
     survey_values(samples, formulation)
     lowered = lower(formulation)
-    remarks = found.remarks + formulation.remarks + survey_reach(samples, formulation, lowered)
+    remarks = found.remarks + formulation.remarks + survey_reach(samples, formulation, lowered, found)
     told = tuple(f"scene {scene.name!r}: {text}" for text in remarks)
     return replace(formulation, remarks=told), lowered
+
+
+def motion_of(scene: Scene) -> Drift:
+    """The scene's motion at tau = 0, to differentiate along."""
+    samples = draw_samples(scene)
+    return Drift(samples, survey_mass(samples, lower_model(scene)))
 
 
 def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:
@@ -127,10 +144,12 @@ def build_solver(
     *,
     math: Math = "own",
     limits: bool = False,
+    batch: bool = False,
 ) -> Package:
     """Generate the pseudo-inverse of m x l matrices alone, tau = y + S+ (z - S y); m, l from 1 to 12.
 
     limits: solve takes lower and upper, (l,) each, and answers with least squares within them; not with damping.
+    batch: also <prefix>_batch.h and .c, solve of many systems at once, by vectors: the same bits; not with limits.
     SceneError for other shapes, and for a solver that is no sg.Solver.
     """
     solver = Solver() if solver is None else solver
@@ -138,9 +157,11 @@ def build_solver(
         raise SceneError(f"sg.build_solver: solver is {type(solver).__name__}; give an sg.Solver(...)")
     if not all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in (m, l)):
         raise SceneError(f"sg.build_solver({m!r}, {l!r}): give the rows and the columns of S as whole numbers, 1 to 12")
+    if batch and limits:
+        raise SceneError("sg.build_solver: many systems at once with limits are not built; leave out batch or limits")
     m, l = int(m), int(l)
     module = plan_solver_only(m, l, target_for(f"pinv_{m}x{l}", scalar, prefix, math), solver, bool(limits))
-    return write(render(module), out, module, None)
+    return write(render(module, batch=batch), out, module, None)
 
 
 def build_plant(

@@ -1,6 +1,6 @@
 """What a controller says about its answer: status, path and the rest of `info`, in Python as in the generated C."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -75,6 +75,8 @@ class Info:
 
     By the paths NORMAL and QR sigma_min is a proven lower bound, unless `sg.Solver(sigma_min="exact")` was asked for.
     Of limits: `scale`, the part of the error dynamics that is kept, and `active`, a bit mask of the controls at one.
+    Of priorities: `level_rank` and `level_residual`, one entry a level, and `sigma_min` is that of the first level;
+    empty where there is one level, of which rank and residual tell.
     Where the status is negative, path is NONE and all other members are zero.
     """
 
@@ -86,6 +88,8 @@ class Info:
     residual: float
     scale: float = 1.0
     active: int = 0
+    level_rank: list[int] = field(default_factory=list)
+    level_residual: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """A refusal keeps no part of the error dynamics, whether the package has limits or not."""
@@ -101,7 +105,8 @@ class Info:
         figures = ", ".join(f"{n}={_figure(getattr(self, n))}" for n in ("rank", "sweeps", "sigma_min", "residual"))
         limited = np.any(np.not_equal(self.scale, 1.0) & np.greater_equal(self.status, 0)) or np.any(self.active)
         bits = f", active={np.bitwise_or.reduce(np.ravel(self.active)):#b}"
-        return f"Info({status}, {path}, {figures}{f', scale={_figure(self.scale)}{bits}' if limited else ''})"
+        levels = f", level_rank={self.level_rank}" if np.size(self.level_rank) else ""
+        return f"Info({status}, {path}, {figures}{levels}{f', scale={_figure(self.scale)}{bits}' if limited else ''})"
 
 
 def _names(kind: type[IntEnum], value: Any) -> str:
@@ -124,7 +129,8 @@ class Control:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """`control` at N states: value (N, l), and the members of `info` as arrays (N,). batch[k] is what one call gives.
+    """`control` at N states: value (N, l), and the members of `info` as arrays (N,), of levels (N, levels) with no
+    column where there is one level. batch[k] is what one call gives.
 
     Where a status is negative, the value is `last`, or zeros.
     """
@@ -138,6 +144,8 @@ class Batch:
     residual: FloatArray
     scale: FloatArray
     active: IntArray
+    level_rank: IntArray
+    level_residual: FloatArray
 
     def __len__(self) -> int:
         return len(self.status)
@@ -147,7 +155,8 @@ class Batch:
         status, path = Status(int(self.status[k])), Path(int(self.path[k]))
         integers = int(self.rank[k]), int(self.sweeps[k])
         numbers = float(self.sigma_min[k]), float(self.residual[k]), float(self.scale[k])
-        return Control(self.value[k], Info(status, path, *integers, *numbers, int(self.active[k])))
+        levels = self.level_rank[k].tolist(), self.level_residual[k].tolist()
+        return Control(self.value[k], Info(status, path, *integers, *numbers, int(self.active[k]), *levels))
 
     def __repr__(self) -> str:
         """How often each status."""

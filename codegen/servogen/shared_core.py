@@ -3,11 +3,12 @@
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from servogen.errors import SceneError
-from servogen.render.core import Block, blocks_of
+from servogen.render.core import Block, blocks_of, unhidden
 from servogen.render.render import SourceFile, render_core
 from servogen.scalars import Scalar
 from servogen.version import VERSION
@@ -26,7 +27,9 @@ def add_to_core(beside: Path, core: str, prefix: str, scalar: Scalar, blocks: Ma
         raise SceneError(f"prefix {prefix!r} collides with the names of the core {core!r}; choose another name")
     users, there = _known(folder, core)
     needed: dict[str, dict[str, Block]] = {
-        user: {n: there[n] for n in told["blocks"]} for user, told in users.items() if user != prefix
+        user: {n: replace(there[n], named=n in told["named"]) for n in told["blocks"]}
+        for user, told in users.items()
+        if user != prefix
     }
     for user, others in needed.items():
         for name in others.keys() & blocks.keys():
@@ -47,14 +50,22 @@ def _manifest(
     told = {
         "generator": f"servogen {VERSION}",
         "core": core,
-        "users": {user: {"scalar": scalars[user], "blocks": sorted(needed[user])} for user in sorted(needed)},
+        "users": {user: _user(scalars[user], needed[user]) for user in sorted(needed)},
         "files": {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files},
     }
     return SourceFile("manifest.json", json.dumps(told, indent=2) + "\n")
 
 
+def _user(scalar: Scalar, needed: Mapping[str, Block]) -> dict[str, Any]:
+    return {"scalar": scalar, "blocks": sorted(needed), "named": sorted(n for n, b in needed.items() if b.named)}
+
+
 def _remedy(folder: Path) -> str:
     return f"delete {folder} and generate every package that shares it anew, or give another core"
+
+
+def _complete(users: Mapping[str, Mapping[str, Any]]) -> bool:
+    return all(told.keys() == {"scalar", "blocks", "named"} for told in users.values())
 
 
 def _known(folder: Path, core: str) -> tuple[dict[str, Any], dict[str, Block]]:
@@ -70,7 +81,7 @@ def _known(folder: Path, core: str) -> tuple[dict[str, Any], dict[str, Block]]:
         texts = {name: (folder / name).read_text(encoding="utf-8") for name in (f"{core}.h", f"{core}.c")}
     except (json.JSONDecodeError, FileNotFoundError):
         raise SceneError(f"core: {folder} is incomplete: a file is missing or cut short; {remedy}") from None
-    if told.keys() != {"generator", "core", "users", "files"} or told["core"] != core:
+    if told.keys() != {"generator", "core", "users", "files"} or told["core"] != core or not _complete(told["users"]):
         raise SceneError(f"core: {folder} holds another package; {remedy}")
     if told["generator"] != f"servogen {VERSION}":
         raise SceneError(f"core: {folder} is of {told['generator']}, this is servogen {VERSION}; {remedy}")
@@ -79,5 +90,5 @@ def _known(folder: Path, core: str) -> tuple[dict[str, Any], dict[str, Block]]:
             raise SceneError(f"core: {folder / name} was changed by hand; {remedy}")
     inside = texts[f"{core}.h"].partition("files alone ---- */\n")[2].partition("/* ---- end ---- */\n")[0]
     header = [Block(b.names, "#" if b.kind == "function" else b.kind, b.text) for b, _, _ in blocks_of(inside)]
-    functions = [b for b, _, _ in blocks_of(texts[f"{core}.c"]) if b.kind == "function"]
+    functions = [unhidden(b) for b, _, _ in blocks_of(texts[f"{core}.c"]) if b.kind == "function"]
     return told["users"], {b.names[0]: b for b in (*header, *functions)}

@@ -1,11 +1,12 @@
 """The pseudo-inverse below full rank or damped, by the SVD at 50 digits."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import mpmath as mp
 import numpy as np
 
-from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import DIGITS
 from servogen.results import FloatArray
 
 
@@ -27,6 +28,34 @@ def pseudo_solution(
                 tau[j] += V[k, j] * along
         kappa = float(sigma[0] / sigma[rank - 1]) if rank else 1.0
     return tau, kappa
+
+
+def pseudo_cascade(
+    S: FloatArray,
+    z: FloatArray,
+    y: FloatArray,
+    levels: Sequence[Sequence[int]],
+    ranks: Sequence[int],
+    damping: float | None,
+) -> list[Any]:
+    """The answer of priorities where each level keeps its `ranks[k]` largest singular values; damping as above.
+
+    S: (m, l), z: (m,), y: (l,), all exact; levels: the rows of each.
+    """
+    l = S.shape[1]
+    with mp.workdps(DIGITS):
+        tau = mp.matrix([mp.mpf(float(v)) for v in y])
+        still_open = mp.eye(l)
+        for rows, rank in zip(map(list, levels), ranks, strict=True):
+            own = mp.matrix(np.asarray(S[rows], dtype=float).tolist())
+            rest = mp.matrix([mp.mpf(float(v)) for v in z[rows]]) - own * tau
+            U, sigma, V = _svd(own * still_open)
+            for k in range(rank):
+                direction = V[k, :].T
+                along = mp.fsum(U[i, k] * rest[i] for i in range(own.rows)) * _inverse(sigma[k], damping)
+                tau += along * direction
+                still_open -= direction * direction.T
+        return list(tau)
 
 
 def kept_singular_values(S: FloatArray, units: FloatArray, rtol: float) -> list[Any]:

@@ -5,7 +5,7 @@
  * States: first the table's, boundary states included; then by turns from the domain's box, near and on states of the
  * table, at the box's corners, with entries at zero, tiny, huge, and with one special number (NaN and infinity, too).
  * Beside the hash a line tells how often each status occurred, the most instructions a call took (to within two ticks
- * of the board's clock, and the probe's own) and the deepest stack, at every eighth state.
+ * of the board's clock, and the probe's own), those of all calls together, and the deepest stack, at every eighth state.
  */
 #include "campaign.h"
 
@@ -142,7 +142,7 @@ static int run_entry(const campaign_table *table, const campaign_entry *entry)
     static const harness_probe painter = {hal_stack_paint, hal_stack_used};
     static real out[CAMPAIGN_LARGEST], state[CAMPAIGN_WIDTH];
     uint32_t statuses[STATUSES] = {0}, worst = 0, at = 0, stack = 0, touched = 0;
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
+    uint64_t hash = UINT64_C(0xcbf29ce484222325), total = 0;
     for (uint32_t k = 0; k < SERVOGEN_CAMPAIGN; ++k) {
         const real_bits pattern = BITS_UNWRITTEN;
         campaign_info info = {0, 0, 0, 0, 0};
@@ -156,6 +156,7 @@ static int run_entry(const campaign_table *table, const campaign_entry *entry)
             memcpy(&out[i], &pattern, sizeof pattern);
         }
         const int32_t status = entry->run(state, out, &info, &counter, &measured);
+        total += measured;
         if (measured > worst) {
             worst = measured;
             at = k;
@@ -190,6 +191,8 @@ static int run_entry(const campaign_table *table, const campaign_entry *entry)
     print_count(" touched=", touched);
     print_count(" worst=", worst);
     print_count(" vector=", at);
+    print_text(" total=");
+    print_hex(total, 16);
     print_count(" stack=", stack);
     for (uint32_t s = 0; s < STATUSES; ++s) {
         print_count(s == 0 ? " statuses=" : ",", statuses[s]);

@@ -1,7 +1,13 @@
 /* FNV-1a over the bits of SYSTEMS solves of a bare solver package, and of their infos: equal on every compiler, level and
    machine. Random, graded, near-singular, exactly singular and inconsistent systems, with and without y, from an integer
-   generator; no libm. The build defines HEADER, ROWS, COLUMNS, REAL, SOLVE and INFO. */
+   generator; no libm. The build defines HEADER, ROWS, COLUMNS, REAL, SOLVE and INFO; and BATCH_HEADER and SOLVE_BATCH where
+   a system is solved together with the 15 before it. */
 #include HEADER
+#ifdef BATCH_HEADER
+#include BATCH_HEADER
+#endif
+
+#include <string.h>
 
 #include "hal.h"
 #include "print.h"
@@ -43,6 +49,28 @@ static void add(uint32_t *hash, const void *data, unsigned size)
     }
 }
 
+static void solve(const REAL *S, const REAL *z, const REAL *y, REAL *tau, INFO *info)
+{
+#ifdef BATCH_HEADER
+    enum { AT_ONCE = 16 };
+    static REAL all_S[AT_ONCE * ROWS * COLUMNS], all_z[AT_ONCE * ROWS], all_y[AT_ONCE * COLUMNS], all_tau[AT_ONCE * COLUMNS];
+    static INFO all_info[AT_ONCE];
+    static unsigned called;
+    const unsigned at = called++ % AT_ONCE;
+    memcpy(all_S + at * ROWS * COLUMNS, S, ROWS * COLUMNS * sizeof *S);
+    memcpy(all_z + at * ROWS, z, ROWS * sizeof *z);
+    if (y != NULL) {
+        memcpy(all_y + at * COLUMNS, y, COLUMNS * sizeof *y);
+    }
+    memcpy(all_tau + at * COLUMNS, tau, COLUMNS * sizeof *tau);
+    (void)SOLVE_BATCH(all_S, all_z, y != NULL ? all_y : NULL, AT_ONCE, all_tau, all_info, NULL);
+    memcpy(tau, all_tau + at * COLUMNS, COLUMNS * sizeof *tau);
+    *info = all_info[at];
+#else
+    (void)SOLVE(S, z, y, tau, info);
+#endif
+}
+
 static uint32_t hash_of(int systems)
 {
     uint32_t hash = 2166136261u;
@@ -71,7 +99,7 @@ static uint32_t hash_of(int systems)
             y[j] = number();
             tau[j] = 0;
         }
-        (void)SOLVE(S, z, n % 2 ? y : NULL, tau, &info);
+        solve(S, z, n % 2 ? y : NULL, tau, &info);
         add(&hash, tau, sizeof tau);
         add(&hash, &info.status, sizeof(int) * 4u);
         add(&hash, &info.sigma_min, sizeof info.sigma_min);

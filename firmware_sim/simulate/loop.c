@@ -46,26 +46,25 @@ static const real dop8_c[] = {
 
 const sim_method sim_methods[SIM_METHODS] = {{4, 4, rk4_a, rk4_b, rk4_c}, {12, 8, dop8_a, dop8_b, dop8_c}};
 
-void sim_copy(const real *from, real *to, int n)
-{
-    int k;
-    for (k = 0; k < n; ++k) {
-        to[k] = from[k];
-    }
-}
-
-/* to = x + h (weight[0] k_0 + ... ), the k_s one after the other in `slopes`; to may be x. */
-static void combine(const real *x, real h, const real *weight, int count, const real *slopes, int n, real *to)
+/* to = x + h (weight[0] k_0 + ... ), the k_s one after the other in `slopes`; to may be x. sum: workspace [n], perhaps
+   to where that is not x. */
+static void combine(const real *x, real h, const real *weight, int count, const real *slopes, int n, real *sum, real *to)
 {
     int i, s;
     for (i = 0; i < n; ++i) {
-        real sum = R(0);
-        for (s = 0; s < count; ++s) {
-            if (weight[s] != R(0)) {
-                sum += weight[s] * slopes[s * n + i];
+        sum[i] = R(0);
+    }
+    for (s = 0; s < count; ++s) {
+        const real *slope = slopes + s * n;
+        const real factor = weight[s];
+        if (factor != R(0)) {
+            for (i = 0; i < n; ++i) {
+                sum[i] += factor * slope[i];
             }
         }
-        to[i] = x[i] + h * sum;
+    }
+    for (i = 0; i < n; ++i) {
+        to[i] = x[i] + h * sum[i];
     }
 }
 
@@ -82,14 +81,17 @@ static int step(sim_loop *loop, real t, real h)
     if (system->advance != NULL) {
         return system->advance(system->scene, h, loop->x, &loop->stop);
     }
-    for (s = 0; s < method->stages; ++s) {
-        combine(loop->x, h, a, s, slopes, n, stage);
+    if (system->rate(system->scene, t, loop->x, slopes, &loop->stop)) {
+        return 1;
+    }
+    for (s = 1; s < method->stages; ++s) {
+        combine(loop->x, h, a, s, slopes, n, stage, stage);
         if (system->rate(system->scene, t + method->c[s] * h, stage, slopes + s * n, &loop->stop)) {
             return 1;
         }
         a += s;
     }
-    combine(loop->x, h, method->b, method->stages, slopes, n, loop->x);
+    combine(loop->x, h, method->b, method->stages, slopes, n, stage, loop->x);
     return 0;
 }
 

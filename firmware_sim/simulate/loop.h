@@ -9,6 +9,7 @@
 #define SERVOGEN_SIMULATE_LOOP_H
 
 #include <stdint.h>
+#include <string.h>
 
 #include "scalar.h"
 
@@ -63,7 +64,8 @@ typedef int (*sim_physics)(void *world, real h, const real *tau, real *x);
 typedef struct {
     void *scene; /* handed to the functions */
     int states;
-    /* x' [states] at (t, x); the controller is called inside, or its tau is held */
+    /* x' [states] at (t, x); the controller is called inside, or its tau is held. The first call behind `sample` is at
+       the t and x of that */
     int (*rate)(void *scene, real t, const real *x, real *x_dot, sim_stop *stop);
     /* at the k-th grid point, where a sampling controller may have its tick; row: to be filled in, NULL if none is due */
     int (*sample)(void *scene, uint32_t k, real t, const real *x, sim_row *row, sim_stop *stop);
@@ -98,6 +100,9 @@ int sim_advance(sim_loop *loop, uint32_t count, sim_sink sink, void *user);
    where a function of the system failed, with loop->stop set. */
 int sim_integrate(sim_loop *loop, real t);
 
-void sim_copy(const real *from, real *to, int n);
+static inline void sim_copy(const real *from, real *to, int n)
+{
+    memcpy(to, from, (size_t)n * sizeof *to);
+}
 
 #endif

@@ -34,6 +34,9 @@ static int outside(const sum_claim *claim, const real *q, const real *u)
     int k;
     for (k = 0; k < claim->q + claim->u; ++k) {
         double value = k < claim->q ? (double)q[k] : (double)u[k - claim->q];
+        if (value >= claim->low[k] && value <= claim->high[k]) {
+            continue;
+        }
         if (claim->angle[k]) {
             value = folded(value, (claim->low[k] + claim->high[k]) / 2);
         }

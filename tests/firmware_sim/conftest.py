@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jinja2
-import mpmath
 import numpy as np
 import pytest
+from servogen.ir.balls import NAN, ZERO, Ball, balls, working
 from servogen.verify.vectors import ANY_ANSWER, EntryVectors, OutputVectors, Scalar, VectorSet
 
 SAMPLE = Path(__file__).parent / "sample"
@@ -106,13 +107,13 @@ def _rename(text: str, prefix: str, scalar: Scalar) -> str:
     return text
 
 
-def _truth(inputs: dict[str, np.ndarray], k: int) -> dict[str, list[mpmath.mpf]]:
-    """S, z, tau, step and project at vector k, to 50 digits."""
-    with mpmath.workdps(50):
-        given = {name: [mpmath.mpf(float(x)) for x in array[k]] for name, array in inputs.items()}
+def _truth(inputs: dict[str, np.ndarray], k: int) -> dict[str, list[Ball]]:
+    """S, z, tau, step and project at vector k, to 60 digits."""
+    with working():
+        given = {name: balls(array[k]) for name, array in inputs.items()}
         q, u, tau, (E_0,) = (given[name] for name, _ in FIELDS)
         (k_0, k_1), g = PARAMS["k"], PARAMS["g"]
-        S = [k_0 * u[0] + (mpmath.sin(q[0]) if mpmath.isfinite(q[0]) else mpmath.nan), k_1 * u[1]]
+        S = [k_0 * u[0] + (q[0].sin() if q[0].is_finite() else NAN), k_1 * u[1]]
         z = 2 * g * q[1] - E_0
         return {
             "S": S,
@@ -123,16 +124,16 @@ def _truth(inputs: dict[str, np.ndarray], k: int) -> dict[str, list[mpmath.mpf]]
         }
 
 
-def _solve(S: np.ndarray, z: np.ndarray, y: np.ndarray) -> list[mpmath.mpf]:
-    """y + S+ (z - S y), to 50 digits."""
-    with mpmath.workdps(50):
-        exact = [mpmath.mpf(float(x)) for x in (*S, *y, *z)]
+def _solve(S: np.ndarray, z: np.ndarray, y: np.ndarray) -> list[Ball]:
+    """y + S+ (z - S y), to 60 digits."""
+    with working():
+        exact = balls((*S, *y, *z))
         rest = exact[4] - exact[0] * exact[2] - exact[1] * exact[3]
         return [y_j + s_j * rest for y_j, s_j in zip(exact[2:4], _pinv(S), strict=True)]
 
 
-def _pinv(S: Sequence[mpmath.mpf]) -> list[mpmath.mpf]:
-    with mpmath.workdps(50):
-        row = [mpmath.mpf(float(s)) if not isinstance(s, mpmath.mpf) else s for s in S]
+def _pinv(S: Sequence[Any]) -> list[Ball]:
+    with working():
+        row = balls(S)
         square = sum(s * s for s in row)
-        return [s / square if square > 0 else mpmath.mpf(0) for s in row]
+        return [s / square if square > 0 else ZERO for s in row]

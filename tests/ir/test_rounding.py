@@ -3,11 +3,11 @@
 from fractions import Fraction
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from servogen.ir.balls import ball
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.program import Input, Instr, Output, Program
 from servogen.ir.rounding import rounding_bounds
@@ -31,7 +31,7 @@ def errors(program: Program, states: dict[str, Any], scalar: str) -> dict[str, n
     for n, exact in enumerate(evaluate_exactly(program, states)):
         for name, entries in exact.items():
             got = values[name][n].ravel()
-            found[name].append([float(abs(mp.mpf(float(g)) - t)) for g, t in zip(got, entries, strict=True)])
+            found[name].append([float(abs(ball(g) - t)) for g, t in zip(got, entries, strict=True)])
     return {name: np.array(rows) for name, rows in found.items()}
 
 

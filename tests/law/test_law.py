@@ -15,6 +15,7 @@ from servogen.law.steps import (
     Advance,
     Apply,
     Call,
+    Cascade,
     Evaluate,
     Invert,
     Multiply,
@@ -49,6 +50,12 @@ def ideal() -> Law:
 def test_prints_and_reads_back(law: Law) -> None:
     assert parse(str(law)) == law
     assert check_legal(law) is law
+
+
+def test_a_law_with_priorities_prints_its_levels() -> None:
+    law = _with(Cascade("x", SYSTEM, "S", "z", ((1,), (0,)), "in.y"))
+    assert "x = cascade solver=system matrix=S right=z levels=1;0 free=in.y" in str(law)
+    assert parse(str(law)) == check_legal(law)
 
 
 def test_an_ideal_law_reads_as_the_paper_does() -> None:
@@ -102,6 +109,8 @@ BROKEN = {
     "column": (_with(Multiply("tau", "N", "x", (((0, 3),),)), 2), "a column beyond x"),
     "reaction": (_with(React("R", "reaction", "M", "z", "J"), 1, 0), "reads z before any step"),
     "at hand without a matrix": (_with(Apply("x", SYSTEM, "T", "z")), "needs T, which is not there"),
+    "levels": (_with(Cascade("x", SYSTEM, "S", "z", ((0,), (0,)))), "levels that do not hold each of the 2 rows once"),
+    "a level of none": (_with(Cascade("x", SYSTEM, "S", "z", ((0, 1), ()))), "levels that do not hold each of the 2"),
     "no cap": (_with(Project("tau", SYSTEM, "in.y", "z", "S", 0), 2), "a cap of no steps"),
     "argument": (_with(Invert("x", SYSTEM, "any")), "reads any before"),
     "entry": (replace(SOUND, entries=(("nothing",),)), "an entry hands out nothing, which is no quantity"),

@@ -6,7 +6,6 @@ import sys
 from typing import Any
 
 import casadi as ca
-import mpmath
 import numpy as np
 import pytest
 import servogen as sg
@@ -14,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servogen.compiler import compile_scene, optimised_scene, target_for
 from servogen.derive.lower import parameter_defaults
+from servogen.ir.balls import working
 from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.lower import lower_expressions
 from servogen.ir.program import Input, Output, Program, check_legal
@@ -133,8 +133,9 @@ def test_measured_errors_do_not_rise(name: str) -> None:
 
     def worst(values: dict[str, Any], output: Output) -> float:
         exact = np.array([list(point[output.name]) for point in truth], dtype=object)
-        with mpmath.workdps(50):
-            return float(np.max(np.abs(exact - values[output.name].reshape(-1, output.size)), initial=0.0))
+        with working():
+            error = np.abs(exact - values[output.name].reshape(-1, output.size))
+        return float(np.max(error.astype(float), initial=0.0))
 
     for output in done.program.outputs:
         assert worst(after, output) <= 1.5 * worst(before, output), output.name

@@ -3,6 +3,7 @@
 import ctypes as ct
 import filecmp
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -145,6 +146,21 @@ def test_a_core_that_is_not_ours_is_not_extended(tmp_path, file, edit, words) ->
     (core / file).write_text(edit((core / file).read_text()))
     with pytest.raises(sg.SceneError, match=words):
         sg.build(scene, tmp_path / "b", prefix="b", core=CORE)
+
+
+def test_what_no_package_calls_is_static_and_closed_forms_stay_where_they_are_called(image) -> None:
+    """Else compilers could neither inline nor specialise it, and an image of two small controllers would grow."""
+    folder = image[0].core
+    text, own = (folder / f"{CORE}.c").read_text(), "".join((p.path / f"{p.prefix}.c").read_text() for p in image)
+    functions = {b.names[0]: b.text for b, _, _ in blocks_of(text) if b.kind == "function"}
+    header = (folder / f"{CORE}.h").read_text()
+    hidden = {name for name, code in functions.items() if "static\n" in code}
+    assert hidden
+    assert hidden != functions.keys()
+    assert not any(re.search(rf"\b{name}\(", own + header) for name in hidden)
+    assert all(re.search(rf"\b{name}\(", own) or f"{name}(" in header for name in functions.keys() - hidden)
+    assert not re.search(r"_1x\d+_\w+\(", text)
+    assert re.search(r"^static \w*ALWAYS_INLINE int \w+_solve_core\(", own, re.MULTILINE)
 
 
 def test_a_core_reads_back_as_it_was_written(image) -> None:

@@ -179,6 +179,7 @@ def test_all_of_a_scene_is_well_formed(name: str) -> None:
         ("-psi_q C Q^-1 P - X + Theta1 psi' + Theta2 psi", "−ψqCQ−1P−X+Θ1ψ′+Θ2ψ"),
         ("J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", "JT(JQ−1JT)+(b−JQ−1P)"),
         ("L^-T, its nonzeros", "L−T,itsnonzeros"),
+        ("psi^(4) = T0 psi + T1 psi', psi^(r-1)", "ψ(4)=T0ψ+T1ψ′,ψ(r−1)"),
     ],
 )
 def test_textbook_formulas(text: str, wanted: str) -> None:

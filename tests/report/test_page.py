@@ -98,6 +98,7 @@ def test_a_start_that_is_refused_is_named(tmp_path):
     assert "falls: closed loop on machines that differ: the start was refused" in report.skipped
     assert "<strong>refused: OVERFLOW</strong>" in page
     assert "The controller refused the start:" in page
+    assert (exit_code(report, False), exit_code(report, False, any_verdict=True)) == (1, 0)
 
 
 def test_a_page_of_nothing_says_so_and_the_command_was_interrupted(tmp_path):
@@ -107,7 +108,11 @@ def test_a_page_of_nothing_says_so_and_the_command_was_interrupted(tmp_path):
     page = render_page(report)
     assert page.count("not begun: stopped by Ctrl-C") >= 2 * len(STAGES)
     assert not report.problems
-    assert (exit_code(report, True), exit_code(report, False)) == (130, 0)
+    assert (exit_code(report, True), exit_code(report, False), exit_code(report, False, any_verdict=True)) == (
+        130,
+        1,
+        0,
+    )
 
 
 def test_figures_of_the_loop_have_their_units(page):

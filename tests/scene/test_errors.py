@@ -236,9 +236,8 @@ def test_theta_of_something_but_parameters() -> None:
     ],
 )
 def test_an_unsupported_operation(where: str, make: Callable[[Any], Any]) -> None:
-    message = refused(lambda: make(ca.erf), f"{where}: operation erf (CasADi id {ca.OP_ERF})", "not supported")
+    message = refused(lambda: make(ca.erfinv), f"{where}: operation erfinv (CasADi id {ca.OP_ERFINV})", "not supp")
     assert "ir/ops.py" in message
-    refused(lambda: make(ca.erfinv), f"{where}: operation erfinv")
 
 
 # ---- stability ----
@@ -361,7 +360,8 @@ def test_constants_that_do_not_fit_the_type() -> None:
         (lambda: sg.Parameters(a="heavy"), ("parameter 'a'", "'heavy'", "neither a number nor a list")),
         (lambda: sg.Parameters(a=[]), ("parameter 'a'", "empty")),
         (lambda: sg.Parameters(a=[[1.0, 2.0], [3.0, 4.0]]), ("parameter 'a'", "(2, 2)", "column")),
-        (lambda: sg.References(r=sg.Ref(0.0, order=3)), ("sg.Ref(order=3)", "0, 1 or 2")),
+        (lambda: sg.References(r=sg.Ref(0.0, order=1.5)), ("sg.Ref(order=1.5)", "give 0, 1, 2, ...")),
+        (lambda: sg.References(r=sg.Ref(0.0, order=3), r_d3=0.0), ("r_d3", "collides", "rename")),
         (lambda: sg.References(r=sg.Ref(0.0, order=1), r_dot=0.0), ("r_dot", "collides", "rename")),
         (lambda: sg.References(r_dot=0.0, r=sg.Ref(0.0, order=1)), ("r_dot", "collides", "rename")),
         (lambda: scene(parameters=par, references=sg.References(a=0.0)), ("parameter 'a'", "collides with the ref")),
@@ -402,10 +402,7 @@ def test_references_of_too_low_order() -> None:
     refused(
         lambda: built([speed(u[0] - ref.r_dot)], references=ref), "'speed' needs the derivative of 'r_dot'", "order=2"
     )
-    message = refused(
-        lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "2 is the highest"
-    )
-    assert "order=3" not in message
+    refused(lambda: built([speed(u[0] - ref.s_ddot)], references=ref), "derivative of 's_ddot'", "order=3")
     law = sg.ControlsInvolved("law", tau[0] - ref.r_dot)
     refused(lambda: built([law], references=ref), "'law' needs the derivative of 'r_dot'")
     assert built([sg.Holonomic("path", q[0] - ref.s, -2.0, -1.0)], references=ref).path.is_dir()
@@ -457,13 +454,41 @@ def spring_coupled() -> tuple[sg.Mechanism, Any, Any]:
 
 def test_a_constraint_that_does_not_reach_the_controls() -> None:
     mech, x, v = spring_coupled()
-    words = "does not reach the controls", "its row of S is identically zero", "relative degree is higher"
+    words = "does not reach the controls", "its row of S is identically zero", "Its relative degree is "
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        refused(lambda: built([sg.Holonomic("first mass", x[0], -2.0, -1.0)], mech), "constraint 'first mass'", *words)
+        four = "4, not 2", "its 4th derivative first", "sg.Output with Theta=[T0, T1, T2, T3]"
+        first = sg.Holonomic("first mass", x[0], -2.0, -1.0)
+        refused(lambda: built([first], mech), "constraint 'first mass'", *words, *four)
         both = sg.Nonholonomic("speeds", ca.vertcat(v[1], v[0]), -1.0)
-        refused(lambda: built([both], mech), "constraint 'speeds', row 1", *words)
+        refused(lambda: built([both], mech), "constraint 'speeds', row 1", *words, "3, not 1")
     assert built([sg.Holonomic("second mass", x[1], -2.0, -1.0)], mech).path.is_dir()
+
+
+def test_an_output_of_another_degree_than_its_theta() -> None:
+    mech, x, v = spring_coupled()
+
+    def output(psi: Any, degree: int) -> Callable[[], Any]:
+        Theta = [-float(c) for c in np.poly([-1.0] * degree)[:0:-1]]
+        return lambda: built([sg.Output("out", psi, Theta)], mech)
+
+    early = "constraint 'out'", "Theta has 4 entries", "its 2nd derivative already", "give Theta=[T0, T1],"
+    refused(output(x[1], 4), *early)
+    refused(output(x, 4), "constraint 'out', row 1", *early[1:])
+    refused(output(v[1] + x[0], 2), "its relative degree is 1; give Theta=[T0],")
+    refused(output(x[0], 3), "does not reach the controls", "Its relative degree is 4, not 3")
+    refused(lambda: sg.Output("out", x[0], -1.0), "constraint 'out': Theta must be the list [T0, T1, ...]", "-1.0")
+    refused(lambda: sg.Output("out", x[0], []), "Theta must be the list")
+    refused(lambda: sg.Output("out", x, [-1.0, [1.0, 2.0, 3.0]]), "constraint 'out': T1 has shape 3x1")
+    for Theta in ([-1.0, -1.0, 0.0], [-6.0, -1.0, -1.0]):
+        refused(lambda Theta=Theta: sg.Output("out", x[0], Theta), "the companion of Theta is unstable", "Hurwitz")
+    ideal = [sg.Output("out", x[0], [-1.0, -3.0, -3.0])]
+    refused(lambda: scene(ideal, mech, mode="ideal"), "mode='ideal'", "the output 'out'", "leave mode at 'servo'")
+
+
+def test_a_quantity_that_no_control_moves() -> None:
+    free = mechanism(G=ca.DM([[1.0, 0.0], [0.0, 0.0]]))
+    refused(lambda: built([sg.Holonomic("free", q[1], -2.0, -1.0)], free), "No control moves it, however often")
 
 
 def test_why_a_constraint_does_not_reach_the_controls() -> None:
@@ -537,7 +562,7 @@ def test_a_solver_that_is_none() -> None:
         (lambda: sg.Solver(damping="x"), ("damping='x'", "positive number")),  # type: ignore[arg-type]
         (lambda: sg.Solver(rtol="x"), ("rtol='x'",)),  # type: ignore[arg-type]
         (lambda: sg.Solver(atol=["x"]), ("atol=['x']",)),  # type: ignore[list-item]
-        (lambda: sg.Ref(0.0, order=-1), ("sg.Ref(order=-1)", "0, 1 or 2")),
+        (lambda: sg.Ref(0.0, order=-1), ("sg.Ref(order=-1)", "give 0, 1, 2, ...")),
         (lambda: sg.Ref(0.0, unit=5), ("sg.Ref(unit=5)", "text")),  # type: ignore[arg-type]
         (lambda: sg.Simulation(step=-1.0), ("step = -1.0", "positive")),
         (lambda: sg.Simulation(outputs=3), ("outputs = 3",)),  # type: ignore[arg-type]

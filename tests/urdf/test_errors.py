@@ -112,7 +112,7 @@ def test_locking_is_the_remedy(tmp_path: Path) -> None:
 
 FILES = {
     "<sdf version='1.6'/>": "it is SDF",
-    "<mujoco/>": "it is MJCF, MuJoCo's format; give the URDF",
+    "<mujoco/>": "it is MJCF, MuJoCo's format; load it with sg.mjcf.load",
     "<!DOCTYPE html><html><body>": "it is a web page; download the raw file",
     "<COLLADA/>": "it is a mesh",
     "<plan/>": "begins with <plan>",

@@ -1,23 +1,22 @@
 """Error against the 50-digit truth, and what is answered at the boundary."""
 
 from collections.abc import Sequence
-from typing import Any
 
-import mpmath as mp
 import numpy as np
 
 from servogen.bench.inputs import Inputs
 from servogen.bench.results import Boundary, Errors, Output
 from servogen.compiler import optimised_scene
-from servogen.ir.evaluate import DIGITS, evaluate_exactly
+from servogen.ir.balls import Ball, all_finite, ball, balls, working
+from servogen.ir.evaluate import evaluate_exactly
 from servogen.law.steps import STATE
 from servogen.results import FloatArray
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.verify.exact_steps import walk
 
-Truth = dict[Output, list[list[Any]]]
-"""Output -> per state its entries row by row, mpf; NaN where the value does not exist or S has not full rank."""
+Truth = dict[Output, list[list[Ball]]]
+"""Output -> per state its entries row by row; NaN where the value does not exist or S has not full rank."""
 
 
 def truth(scene: Scene, inputs: Inputs) -> Truth:
@@ -29,7 +28,7 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     result: Truth = {output: [] for output in Output}
     for k, values in enumerate(evaluate_exactly(program.exact, columns)):
         for name, _ in formulation.law.inputs:
-            values[STATE + name] = [mp.mpf(float(v)) for v in columns[name][k if len(columns[name]) > 1 else 0]]
+            values[STATE + name] = balls(columns[name][k if len(columns[name]) > 1 else 0])
         walk(control.steps, values)
         S, z = values[system.matrix], values[system.right]
         result[Output.MATRIX].append(S)
@@ -39,11 +38,11 @@ def truth(scene: Scene, inputs: Inputs) -> Truth:
     return result
 
 
-def judge(values: FloatArray, exact: Sequence[list[Any]], scalar: Scalar) -> Errors:
+def judge(values: FloatArray, exact: Sequence[list[Ball]], scalar: Scalar) -> Errors:
     """values: (N, size). A NaN or an infinity is an infinite error; states without a truth are not judged."""
     worst, scale = [], 0.0
     for row, true in zip(values, exact, strict=True):
-        if not all(mp.isfinite(x) for x in true):
+        if not all_finite(true):
             continue
         worst.append(_error(row, true))
         scale = max(scale, *(abs(float(x)) for x in true))
@@ -53,12 +52,12 @@ def judge(values: FloatArray, exact: Sequence[list[Any]], scalar: Scalar) -> Err
     return Errors(max(worst), float(np.median(worst)), scale, EPSILON[scalar], len(worst), nonfinite)
 
 
-def _error(row: FloatArray, true: list[Any]) -> float:
-    """The worst entry of one state, subtracted to 50 digits."""
+def _error(row: FloatArray, true: list[Ball]) -> float:
+    """The worst entry of one state, subtracted before it is rounded."""
     if len(row) != len(true) or not np.all(np.isfinite(row)):
         return float("inf")
-    with mp.workdps(DIGITS):
-        return float(max(abs(mp.mpf(float(x)) - t) for x, t in zip(row, true, strict=True)))
+    with working():
+        return max(abs(float(ball(x) - t)) for x, t in zip(row, true, strict=True))
 
 
 def count_answers(names: Sequence[str], values: FloatArray, statuses: FloatArray) -> Boundary:

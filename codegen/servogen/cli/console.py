@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby, pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -22,6 +22,9 @@ from rich.table import Table
 
 from servogen.errors import SceneError
 from servogen.loading import builtin_names
+
+if TYPE_CHECKING:
+    from servogen.simulate.verdict import Verdict
 
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
 err = Console(stderr=True, highlight=False)
@@ -126,6 +129,15 @@ def to_jsonable(value: Any) -> Any:
 def complain(kind: str, text: str, style: str = "bold red") -> None:
     """One line on stderr: what kind of remark it is, then its words as they are."""
     err.print(f"[{style}]{kind}:[/] {escape(text)}", soft_wrap=True)
+
+
+def show_verdict(verdict: "Verdict", scene: str = "") -> None:
+    """The word, what happened and what to try."""
+    style = "bold green" if verdict.held else "bold red"
+    named = f"{scene}: " if scene else ""
+    out.print(f"  {escape(named)}[{style}]{escape(verdict.word)}[/]: {escape(verdict.reason)}")
+    if verdict.advice:
+        out.print(f"  {verdict.advice}", markup=False)
 
 
 def show_warnings() -> None:

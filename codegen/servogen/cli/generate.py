@@ -76,6 +76,7 @@ def _in_words(system: System) -> str:
     help="Also <prefix>.fmu, for co-simulation by FMI 3.0, sources and binary; with --plant the plant's too.",
 )
 @click.option("--casadi-abi", is_flag=True, help="Also <prefix>_casadi.c, by which casadi.external calls the C.")
+@click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: control of many states at once, by vectors.")
 @click.option(
     "--core",
     is_flag=True,
@@ -97,6 +98,7 @@ def generate(
     plant: bool,
     fmu: bool,
     casadi_abi: bool,
+    batch: bool,
     core: bool,
     entry_points: str | None,
     as_json: bool,
@@ -116,7 +118,7 @@ def generate(
         loaded, simulation = load_simulation(scene)
         own = Path(prefix or (loaded.name if scalar == "float64" else f"{loaded.name}_f32"))
         folder = (out or Path()) / own if several else out or own
-        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names}
+        options: dict[str, Any] = {"math": math, "casadi_abi": casadi_abi, "entry_points": names, "batch": batch}
         packages = [build(loaded, folder, scalar, prefix, core=CORE if core else None, **options)]
         if plant:
             name = f"{packages[0].prefix}_plant"
@@ -150,6 +152,7 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
     "(no iteration, nearly the same time whatever S is).",
 )
 @click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
+@click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: solve of many systems at once, by vectors.")
 @scalar_option
 @prefix_option
 @math_option
@@ -160,6 +163,7 @@ def solver(
     l: int,
     method: Method,
     limits: bool,
+    batch: bool,
     scalar: Scalar,
     prefix: str | None,
     math: Math,
@@ -169,8 +173,8 @@ def solver(
     """Generate the pseudo-inverse of M x L matrices alone, by default into ./<prefix>/."""
     folder = out or Path(prefix or f"pinv_{m}x{l}" + ("" if scalar == "float64" else "_f32"))
     chosen = Solver(method=method)
-    package = build_solver(m, l, folder, scalar, chosen, prefix=prefix, math=math, limits=limits)
-    _report([([package], [])], as_json)
+    built = build_solver(m, l, folder, scalar, chosen, prefix=prefix, math=math, limits=limits, batch=batch)
+    _report([([built], [])], as_json)
 
 
 _Made = tuple[Sequence[Package], Sequence[Path]]

@@ -33,6 +33,7 @@ COMMANDS = {
     "list": ("generate", "list_scenes"),
     "generate": ("generate", "generate"),
     "solver": ("generate", "solver"),
+    "analyse": ("analyse", "analyse_command"),
     "check": ("check", "check_command"),
     "simulate": ("simulate", "simulate_command"),
     "verdicts": ("verdicts", "verdicts_command"),

@@ -17,6 +17,7 @@ from servogen.cli.console import (
     out,
     progress,
     scenes_argument,
+    show_verdict,
 )
 from servogen.interrupt import interrupt_kept
 from servogen.report.collect import Report, Wishes, collect
@@ -40,6 +41,10 @@ from servogen.verify.harness import require_target
     "--cap", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
     help="Most seconds for each stage of a scene; default by stage, from 120 to 600. What takes longer is skipped.",
 )  # fmt: skip
+@click.option(
+    "--any-verdict", is_flag=True,
+    help="Exit code by the code and the page alone: runs may leave their domain, or end by their own stops.",
+)  # fmt: skip
 @json_option
 def report_command(
     scenes: tuple[str, ...],
@@ -49,13 +54,14 @@ def report_command(
     rounds: int,
     peers: bool,
     cap: float | None,
+    any_verdict: bool,
     as_json: bool,
 ) -> None:
     """Generate, simulate, cross-check and benchmark SCENE...; one self-contained HTML page, and the files beside it.
 
     Ctrl-C ends the stage that runs; the page then shows what was done until then, and says what is missing. Exit code 0
-    where the generated code is right and the page complete; whether the loop was held, and on how many machines that
-    differ from the model, is a verdict on the page and in --json: `servogen simulate` has it in its exit code.
+    where the generated code is right, nothing failed, and the loop of every scene is held as it is; how many of the
+    machines that differ from the model are held as well stands on the page and in --json.
     """
     names = chosen(scenes, every)
     without: tuple[tuple[str, str], ...] = ()
@@ -74,8 +80,11 @@ def report_command(
             complain("SKIPPED", text)
         for text in report.problems:
             complain("FAILED", text)
+        for scene in report.scenes:
+            if scene.loop is not None:
+                show_verdict(scene.loop.trajectory.verdict, scene.name)
         out.print(f"wrote {page}", markup=False, soft_wrap=True)
-    raise click.exceptions.Exit(exit_code(report, interrupted.is_set()))
+    raise click.exceptions.Exit(exit_code(report, interrupted.is_set(), any_verdict))
 
 
 def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]:
@@ -90,13 +99,15 @@ def _summary(report: Report, page: Path, interrupted: bool) -> dict[str, object]
         for s in report.scenes
     }
     good = not report.problems and not interrupted
-    return {"page": page, "passed": good, "problems": report.problems, "skipped": report.skipped, "scenes": scenes}
+    told = {"page": page, "passed": good, "held": report.held, "problems": report.problems, "skipped": report.skipped}
+    return told | {"scenes": scenes}
 
 
-def exit_code(report: Report, interrupted: bool) -> int:
-    """Ctrl-C, a scene at fault, a check that failed, or good: the first of these that is so."""
+def exit_code(report: Report, interrupted: bool, any_verdict: bool = False) -> int:
+    """Ctrl-C, a scene at fault, a check that failed or a loop that was not held, or good: the first of these that is
+    so."""
     if interrupted:
         return INTERRUPTED
     if report.wrong_input:
         return WRONG_INPUT
-    return FAILED if report.problems else GOOD
+    return FAILED if report.problems or not (any_verdict or report.held) else GOOD

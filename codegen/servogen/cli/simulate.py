@@ -10,7 +10,7 @@ import click
 import numpy as np
 from rich.markup import escape
 
-from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, table
+from servogen.cli.console import FAILED, GOOD, emit_json, json_option, out, progress, show_verdict, table
 from servogen.cli.generate import scalar_option
 from servogen.cli.runs import runs_summary, show_runs
 from servogen.errors import SceneError
@@ -25,7 +25,6 @@ from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.robustness import write_robustness
 from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
-from servogen.simulate.verdict import Verdict
 from servogen.simulate.wanted import load_simulation
 from servogen.verify.harness import targets
 
@@ -305,7 +304,7 @@ def _show(
     else:
         out.print(title, markup=False)
         _show_changes(changed)
-    _show_verdict(trajectory.verdict)
+    show_verdict(trajectory.verdict)
     for file in files:
         out.print(f"  wrote  {file}", markup=False, soft_wrap=True)
 
@@ -316,13 +315,6 @@ def _show_changes(changed: Mapping[str, Mapping[str, FloatArray]]) -> None:
         if values:
             told = "; ".join(f"{n} = {_numbers(v)}" for n, v in values.items())
             out.print(f"  {what} changed: {told}", markup=False)
-
-
-def _show_verdict(verdict: Verdict) -> None:
-    style = "bold green" if verdict.held else "bold red"
-    out.print(f"  [{style}]{escape(verdict.word)}[/]: {escape(verdict.reason)}")
-    if verdict.advice:
-        out.print(f"  {verdict.advice}", markup=False)
 
 
 def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from servogen.derive.formulation import Quantity, Weight
 from servogen.law.law import Law, Routine
-from servogen.law.steps import STATE, SYSTEM, Evaluate, Invert, Multiply, React, Solve, Step
+from servogen.law.steps import STATE, SYSTEM, Cascade, Evaluate, Invert, Multiply, React, Solve, Step
 from servogen.scene.scene import Scene
 
 
@@ -26,13 +26,16 @@ def controlling(
     made = {step.into for step in before}
     read = [matrix, *(n for s in before for n in (s.matrix, s.right, s.jacobian))]
     read += [name for name in (system.right, free) if name and name not in made and not name.startswith(STATE)]
+    found = system.answer if weight is None else "sigma"
+    levels = scene.levels
     steps: tuple[Step, ...]
-    if weight is None:
-        steps = (Solve(system.answer, SYSTEM, matrix, system.right, free),)
+    if len(levels) > 1:
+        steps = (Cascade(found, SYSTEM, matrix, system.right, levels, free),)
     else:
+        steps = (Solve(found, SYSTEM, matrix, system.right, free),)
+    if weight is not None:
         read.append("recover")
-        solve = Solve("sigma", SYSTEM, matrix, system.right, free)
-        steps = (solve, Multiply(system.answer, "recover", "sigma", weight.pattern))
+        steps = (*steps, Multiply(system.answer, "recover", found, weight.pattern))
     inverse = f"{system.matrix}_pinv"
     return Law(
         scene.name,

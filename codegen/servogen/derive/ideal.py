@@ -23,8 +23,9 @@ def derive_ideal(samples: Samples, found: MassFindings) -> Formulation:
     """psi, T and F (for verification), and what R and tau are computed from."""
     scene = samples.scene
     mech = scene.mechanism
-    psi, J, X, prescribed = constraint_rows(scene)
-    b = prescribed - X
+    rows = constraint_rows(scene)
+    psi, J = rows.psi, rows.J
+    b = rows.prescribed - rows.X
     W_transposed, mass = solve_with_mass(scene, found, J.T, transposed=True)
     W = W_transposed.T
     T, F = nonminimal_form(mech.Q, mech.P, J, b, dependent_columns(samples, J))

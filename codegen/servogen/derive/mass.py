@@ -35,6 +35,46 @@ def solve_definite(matrix: Any, right: Any) -> tuple[Any, MassTreatment]:
     return _solve_ldlt(matrix, right)
 
 
+def solve_semidefinite(matrix: Any, right: Any, rank: int, weights: list[float]) -> tuple[Any, Any, list[Any]]:
+    """An X with matrix X = right for a symmetric positive semidefinite matrix of that rank everywhere, a basis of its
+    range (n x rank), and the pivots.
+
+    Each pivot is the largest diagonal entry left, times its row's weight, chosen by selection so that the code has no
+    branches; which entry that is may change from state to state. right: in the matrix's range. The pivots are relative.
+    """
+    n, rest, columns = matrix.size1(), ca.densify(matrix), []
+    chosen: list[list[Any]] = []
+    shares, pivots, relative = [], [], []
+    for _ in range(rank):
+        size, which = rest[0, 0] * weights[0], [ca.SX(int(i == 0)) for i in range(n)]
+        for i in range(1, n):
+            larger = rest[i, i] * weights[i] > size
+            size = ca.if_else(larger, rest[i, i] * weights[i], size)
+            which = [ca.if_else(larger, int(k == i), e) if k <= i else e for k, e in enumerate(which)]
+        column = ca.vertcat(*(_chosen(which, rest[i, :]) for i in range(n)))
+        pivot = _chosen(which, column)
+        share = ca.horzcat(*(_chosen(which, right[:, c]) for c in range(right.size2()))) / pivot
+        right = right - ca.mtimes(column, share)
+        rest = ca.triu2symm(ca.triu(rest - ca.mtimes(column, column.T) / pivot))
+        chosen.append(which)
+        columns.append(column)
+        shares.append(share)
+        pivots.append(pivot)
+        relative.append(size)
+    entries: list[Any] = []
+    for k in range(rank - 1, -1, -1):  # the unknowns of the rows chosen, the last first
+        later = zip(chosen[k + 1 :], entries, strict=True)
+        known = sum((_chosen(which, columns[k]) / pivots[k] * x for which, x in later), ca.SX.zeros(shares[k].shape))
+        entries.insert(0, shares[k] - known)
+    solution = sum(ca.mtimes(ca.vertcat(*which), x) for which, x in zip(chosen, entries, strict=True))
+    return solution, ca.horzcat(*columns), relative
+
+
+def _chosen(which: list[Any], values: Any) -> Any:
+    """The value whose flag in `which` is one."""
+    return sum(ca.if_else(flag, value, 0) for flag, value in zip(which, ca.vec(values).elements(), strict=True))
+
+
 def solve_square(matrix: Any, right: Any) -> Any:
     """X with matrix X = right for any square matrix, without a test of its pivots."""
     if _is_diagonal(matrix):

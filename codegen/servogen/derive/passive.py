@@ -10,10 +10,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import MassFindings, MassTreatment, Quantity
-from servogen.derive.mass import solve_definite, solve_with_mass
+from servogen.derive.mass import solve_definite, solve_semidefinite, solve_with_mass
 from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.closing import Closer
@@ -58,6 +59,31 @@ def closure_of(scene: Scene, gauge: Gauge | None = None, stabilised: bool = Fals
     return Closure(J, j, ca.vertcat(*values), ca.vertcat(*speeds))
 
 
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """Rows J u' + j = 0 that say what all passive constraints say, and the rank they have.
+
+    Rows that the others always make up in the same way are not among them. Where which rows make up the others changes
+    from state to state, all are, and their rank is below their number.
+    """
+
+    J: Any
+    j: Any
+    rank: int
+    closure: Closure
+
+    @property
+    def wanders(self) -> bool:
+        return self.rank < int(self.J.size1())
+
+
+def _joined(samples: Samples, closure: Closure) -> Joined:
+    kept = independent_rows(samples)
+    if _wanders(samples):
+        return Joined(closure.J, closure.j, len(kept), closure)
+    return Joined(closure.J[kept, :], closure.j[kept], len(kept), closure)
+
+
 def respond(
     samples: Samples, found: MassFindings, K: Any, gauge: Gauge | None = None
 ) -> tuple[Any, Any, MassTreatment]:
@@ -66,15 +92,12 @@ def respond(
     if not scene.mechanism.passive:
         W_transposed, mass = solve_with_mass(scene, found, K.T, transposed=True)
         return W_transposed.T, ca.SX.zeros(K.size1()), mass
-    closure = closure_of(scene, gauge)
-    kept = independent_rows(samples)
-    J, j = closure.J[kept, :], closure.j[kept]
+    joined = _joined(samples, closure_of(scene, gauge))
     m = K.size1()
-    both, mass = _solve_definite_mass(samples, found, ca.horzcat(K.T, J.T))
+    both, mass = _solve_definite_mass(samples, found, ca.horzcat(K.T, joined.J.T))
     V, held = both[:, :m], both[:, m:]
-    A = _gram(held, J)
-    Y, mass = _solve_closure(samples, A, ca.mtimes(J, V), mass)  # A^-1 J Q^-1 K^T
-    return (V - ca.mtimes(held, Y)).T, -ca.mtimes(Y.T, j), mass
+    Y, _, mass = _solve_closure(samples, joined, held, ca.mtimes(joined.J, V), mass)  # A^-1 J Q^-1 K^T
+    return (V - ca.mtimes(held, Y)).T, -ca.mtimes(Y.T, joined.j), mass
 
 
 def accelerations(
@@ -84,12 +107,10 @@ def accelerations(
     scene = samples.scene
     if not scene.mechanism.passive:
         return solve_with_mass(scene, found, force)
-    closure = closure_of(scene, stabilised=stabilised)
-    kept = independent_rows(samples)
-    J, j = closure.J[kept, :], closure.j[kept]
-    both, mass = _solve_definite_mass(samples, found, ca.horzcat(force, J.T))
+    joined = _joined(samples, closure_of(scene, stabilised=stabilised))
+    both, mass = _solve_definite_mass(samples, found, ca.horzcat(force, joined.J.T))
     free, held = both[:, 0], both[:, 1:]
-    lam, mass = _solve_closure(samples, _gram(held, J), -(ca.mtimes(J, free) + j), mass)
+    lam, _, mass = _solve_closure(samples, joined, held, -(ca.mtimes(joined.J, free) + joined.j), mass)
     return free + ca.mtimes(held, lam), mass
 
 
@@ -99,11 +120,15 @@ def passive_quantities(samples: Samples, found: MassFindings) -> tuple[Quantity,
     if not mech.passive:
         return ()
     closure = closure_of(scene)
-    kept = independent_rows(samples)
-    J, j = closure.J[kept, :], closure.j[kept]
+    joined = _joined(samples, closure)
+    J = joined.J
     both, mass = _solve_definite_mass(samples, found, ca.horzcat(mech.P + ca.mtimes(mech.G, mech.tau), J.T))
-    lam, _ = _solve_closure(samples, _gram(both[:, 1:], J), -(ca.mtimes(J, both[:, 0]) + j), mass)
-    if len(kept) < closure.J.size1():
+    right = -(ca.mtimes(J, both[:, 0]) + joined.j)
+    lam, basis, _ = _solve_closure(samples, joined, both[:, 1:], right, mass)
+    if joined.wanders:
+        shares, _ = solve_definite(_gram(basis, basis.T), ca.mtimes(basis.T, lam))
+        lam = ca.mtimes(basis, shares)
+    elif joined.rank < closure.J.size1():
         lam = _least(closure.J, J, lam)
     return (
         Quantity("lam", lam, "", "-(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j)", needs_mass=True),
@@ -120,14 +145,8 @@ def independent_rows(samples: Samples) -> list[int]:
     and where J is not finite.
     """
     scene = samples.scene
-    J = closure_of(scene).J
-    states, good = Closer(scene).close(samples.examined | samples.parameters)
-    values = replace(samples, examined=states).values(J)
-    finite = np.all(np.isfinite(values), axis=(1, 2))
-    usual = np.arange(len(values)) < AT_DEFAULTS
-    if not np.any(finite & usual):
-        raise SceneError("passive: J is not finite at any state drawn from the domain; give a domain in which it is")
-    taken, at_defaults = _pivots(values[finite & (usual | good)]), _pivots(values[finite & usual])
+    values, usual = _rows_over_the_domain(samples)
+    taken, at_defaults = _pivots(values), _pivots(values[usual])
     labels = row_labels(scene)
     if not taken:
         raise SceneError(f"{labels[0]} does not depend on the motion; give one that does")
@@ -140,14 +159,44 @@ def independent_rows(samples: Samples) -> list[int]:
     return taken
 
 
+@lru_cache(maxsize=16)
+def _rows_over_the_domain(samples: Samples) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """J at states examined (N, p, n), where it is finite, and which of them are at the parameters' defaults."""
+    scene = samples.scene
+    states, good = Closer(scene).close(samples.examined | samples.parameters)
+    values = replace(samples, examined=states).values(closure_of(scene).J)
+    finite = np.all(np.isfinite(values), axis=(1, 2))
+    usual = np.arange(len(values)) < AT_DEFAULTS
+    if not np.any(finite & usual):
+        raise SceneError("passive: J is not finite at any state drawn from the domain; give a domain in which it is")
+    taken = finite & (usual | good)
+    return values[taken], usual[taken]
+
+
+def _wanders(samples: Samples) -> bool:
+    """Whether the rows that are left make up the others differently from state to state."""
+    kept, (values, _) = independent_rows(samples), _rows_over_the_domain(samples)
+    others = [k for k in range(values.shape[1]) if k not in kept]
+    if not others:
+        return False
+    shares = values[:, others, :] @ np.linalg.pinv(values[:, kept, :])
+    return bool(np.max(np.abs(shares - shares[0])) > _NEGLIGIBLE * 100 * (1 + np.max(np.abs(shares[0]))))
+
+
 def left_out(samples: Samples) -> tuple[str, ...]:
     """A remark on each row of chi that the other ones make up already."""
     if not samples.scene.mechanism.passive:
         return ()
-    kept = independent_rows(samples)
+    kept, labels = independent_rows(samples), row_labels(samples.scene)
+    if _wanders(samples):
+        names = ", ".join(repr(c.name) for c in samples.scene.mechanism.passive)
+        return (
+            f"passive constraints {names}: of {len(labels)} rows {len(labels) - len(kept)} follow from the others at "
+            "every state examined, and which ones changes: rows are chosen anew at each state",
+        )
     return tuple(
         f"{label} is left out, for the others make it up already at every state examined; leave it out of chi, too"
-        for k, label in enumerate(row_labels(samples.scene))
+        for k, label in enumerate(labels)
         if k not in kept
     )
 
@@ -202,16 +251,26 @@ def _gram(X: Any, J: Any) -> Any:
     return ca.triu2symm(ca.triu(ca.densify(ca.mtimes(J, X))))
 
 
-def _solve_closure(samples: Samples, A: Any, right: Any, mass: MassTreatment) -> tuple[Any, MassTreatment]:
-    """A^-1 right; A's pivots join those of Q.
+def _solve_closure(
+    samples: Samples, joined: Joined, held: Any, right: Any, mass: MassTreatment
+) -> tuple[Any, Any, MassTreatment]:
+    """A^-1 right with A = J held, a basis of A's range where its rows wander (else None); A's pivots join those of Q.
 
     Where J loses rank, a dead centre, a whole row of it may vanish, and with that its entry on A's diagonal: so pivots
     are judged by the largest such entry over the domain.
     """
-    X, own = solve_definite(A, right)
+    A = _gram(held, joined.J)
     values = samples.values(ca.diag(A))
     largest = np.max(np.where(np.isfinite(values), values, 0.0), axis=(0, 2))
-    scales = (*mass.scales, *(ca.SX(float(f"{size:.3g}")) for size in largest))
-    pivots = (*mass.pivots, *own.pivots)
-    reason = f"{mass.reason}; passive constraints: one LDL^T of J Q^-1 J^T, {A.size1()}x{A.size1()}"
-    return X, replace(mass, pivots=pivots, scales=scales, reason=reason)
+    sizes = [float(f"{size:.3g}") for size in largest]
+    p = A.size1()
+    if joined.wanders:
+        X, basis, pivots = solve_semidefinite(A, right, joined.rank, [1 / size if size else 0.0 for size in sizes])
+        own, scales = tuple(pivots), (ca.SX(1),) * joined.rank
+        told = f"J Q^-1 J^T, {p}x{p}, of rank {joined.rank}, its rows chosen by selection"
+    else:
+        X, treatment = solve_definite(A, right)
+        basis, own, scales = None, treatment.pivots, tuple(map(ca.SX, sizes))
+        told = f"one LDL^T of J Q^-1 J^T, {p}x{p}"
+    reason = f"{mass.reason}; passive constraints: {told}"
+    return X, basis, replace(mass, pivots=(*mass.pivots, *own), scales=(*mass.scales, *scales), reason=reason)

@@ -1,5 +1,8 @@
 """Servo-constraints without controls: S tau = z, Eqs. (3)-(12)."""
 
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import Any
 
 import casadi as ca
@@ -7,10 +10,11 @@ import casadi as ca
 from servogen.derive.answer import controlling
 from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import Formulation, MassFindings, Quantity, Weight
+from servogen.derive.lie import Drift
 from servogen.derive.limiting import limit_quantities, within_limits
 from servogen.derive.passive import passive_quantities, respond
 from servogen.derive.weight import weigh
-from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.constraints import Constraint, expression_of, is_holonomic
 from servogen.scene.convert import is_identity
 from servogen.scene.known_rates import Gauge
 from servogen.scene.samples import Samples
@@ -23,7 +27,8 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     scene = samples.scene
     mech = scene.mechanism
     gauge = mech.gauge
-    psi, J, X, prescribed = constraint_rows(scene, gauge)
+    rows = constraint_rows(scene, gauge, Drift(samples, found))
+    psi, J, X, prescribed = rows.psi, rows.J, rows.X, rows.prescribed
     # m solves with Q for the rows of psi_u, not l for the columns of G
     W, shift, mass = respond(samples, found, J, gauge)
     S = ca.mtimes(W, mech.G)
@@ -33,9 +38,9 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     if weight is not None and weight.of_mass and is_identity(mech.G) and not mech.passive:
         # with N N^T = Q and G = I, S N is (N^-1 J^T)^T: half of the solve with Q, and the other half is not needed
         weighted = weight.to_sigma(J.T).T
-        z = prescribed - X - ca.mtimes(weighted, weight.to_sigma(force))
+        z = prescribed - X - rows.still_due(ca.mtimes(weighted, weight.to_sigma(force)))
     else:
-        z = prescribed - X - ca.mtimes(W, force) - shift
+        z = prescribed - X - rows.still_due(ca.mtimes(W, force)) - rows.still_due(shift)
     words, passive = _words(scene), passive_quantities(samples, found)
     limits = limit_quantities(scene, prescribed, weight)
     quantities = [
@@ -50,14 +55,32 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     return Formulation(scene, (*quantities, *passive), mass, law, weight)
 
 
-def constraint_rows(scene: Scene, gauge: Gauge | None = None) -> tuple[Any, Any, Any, Any]:
-    """psi, and J, X, right side of  J u' + X = right side  for all constraints, in the order given.
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """J u' + X = prescribed for all constraints, in the order given; psi: their expressions. All SX, a row each.
 
-    With a gauge, X is that of  J (u' - gauge.u_dot) + X = right side.
+    With a gauge it is J (u' - gauge.u_dot) + X. driven: rows of outputs whose X holds the drift J Q^-1 P, too.
     """
-    rows = [_rows(scene, c, gauge) for c in scene.constraints]
-    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*rows, strict=True))
-    return psi, J, X, prescribed
+
+    psi: Any
+    J: Any
+    X: Any
+    prescribed: Any
+    driven: tuple[bool, ...]
+
+    def still_due(self, drift: Any) -> Any:
+        """J Q^-1 P where X does not hold it."""
+        if not any(self.driven):
+            return drift
+        return ca.vertcat(*(0 if driven else drift[k] for k, driven in enumerate(self.driven)))
+
+
+def constraint_rows(scene: Scene, gauge: Gauge | None = None, drift: Drift | None = None) -> Rows:
+    """The rows of a scene's constraints. drift: of the scene; outputs of a higher degree need it."""
+    rows = [_rows(scene, c, gauge, drift) for c in scene.constraints]
+    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*(row[:4] for row in rows), strict=True))
+    driven = tuple(row[4] for row, c in zip(rows, scene.constraints, strict=True) for _ in range(c.size))
+    return Rows(psi, J, X, prescribed, driven)
 
 
 def free_quantities(
@@ -95,11 +118,19 @@ def _free_in_sigma(scene: Scene, weight: Weight) -> Any:
 
 def _words(scene: Scene) -> dict[str, tuple[str, str]]:
     """Equation and formula of psi, S and z for the kinds of constraints there are."""
+    u = scene.mechanism.u
+    if any(c.order > 1 and not is_holonomic(c, u) for c in scene.constraints):
+        # the paper ends at the second derivative; a row of degree r is prescribed in its r-th
+        return {
+            "psi": ("", "psi(q, u, t)"),
+            "S": ("", "the factor of tau in psi^(r), r the relative degree of the row"),
+            "z": ("", "T0 psi + T1 psi' + ... up to psi^(r-1), less psi^(r) at tau = 0"),
+        }
     words = _free_words(scene)
     if not scene.mechanism.passive:
         return words
     # The paper has no passive constraints: J and j are theirs here, and K the rows of u' in the servo-constraints.
-    holonomic = [isinstance(c, Holonomic) for c in scene.constraints]
+    holonomic = [is_holonomic(c, scene.mechanism.u) for c in scene.constraints]
     K = "psi_q C" if all(holonomic) else "K" if any(holonomic) else "psi_u"
     told = ", K = psi_u or psi_q C" if K == "K" else ""
     prescribed = words["z"][1].split(" - X")[1]
@@ -111,7 +142,7 @@ def _words(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def _free_words(scene: Scene) -> dict[str, tuple[str, str]]:
-    holonomic = [isinstance(c, Holonomic) for c in scene.constraints]
+    holonomic = [is_holonomic(c, scene.mechanism.u) for c in scene.constraints]
     if not any(holonomic):
         return {
             "psi": ("Eq. (3)", "psi(q, u, t)"),
@@ -131,12 +162,24 @@ def _free_words(scene: Scene) -> dict[str, tuple[str, str]]:
     }
 
 
-def _rows(scene: Scene, constraint: Any, gauge: Gauge | None) -> tuple[Any, Any, Any, Any]:
-    """psi, J, X and right side as in constraint_rows, for one constraint."""
-    assert not isinstance(constraint, ControlsInvolved)
-    what, psi = f"constraint {constraint.name!r}", constraint.psi
-    if isinstance(constraint, Holonomic):
+def _rows(
+    scene: Scene, constraint: Constraint, gauge: Gauge | None, drift: Drift | None
+) -> tuple[Any, Any, Any, Any, bool]:
+    """psi, J, X, right side and driven as in Rows, for one constraint."""
+    what, psi = f"constraint {constraint.name!r}", expression_of(constraint)
+    driven = False
+    if is_holonomic(constraint, scene.mechanism.u):
         psi_dot, J, X = holonomic_rates(scene, psi, what, gauge)
-        return psi, J, X, ca.mtimes(constraint.Theta1, psi_dot) + ca.mtimes(constraint.Theta2, psi)
-    J, psi_dot = nonholonomic_rates(scene, psi, what, gauge)
-    return psi, J, psi_dot, ca.mtimes(constraint.Theta, psi)
+        rates = [psi, psi_dot]
+    elif constraint.order == 1:
+        J, X = nonholonomic_rates(scene, psi, what, gauge)
+        rates = [psi]
+    else:
+        assert drift is not None
+        driven, rates = True, [psi]
+        for _ in range(constraint.order):
+            rates.append(drift.rate(rates[-1], what))
+        J = drift.gradient(rates[-2])
+        *rates, X = drift.filled(*rates)
+    terms = [ca.mtimes(theta, value) for theta, value in zip(constraint.thetas, rates, strict=True)]
+    return psi, J, X, reduce(add, reversed(terms)), driven

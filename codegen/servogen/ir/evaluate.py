@@ -1,18 +1,16 @@
-"""The program's interpreters: arrays of float64 or float32, and 50 digits (the truth of every check)."""
+"""The program's interpreters: arrays of float64 or float32, and 50 digits and more (the truth of every check)."""
 
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 
+from servogen.ir.balls import NAN, Ball, ball, working
 from servogen.ir.numbers import nearest
 from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.results import FloatArray
-
-DIGITS = 50
 
 
 def node_values(program: Program, inputs: Mapping[str, Any], dtype: Any = np.float64) -> list[FloatArray]:
@@ -46,42 +44,26 @@ def evaluate(program: Program, inputs: Mapping[str, Any], dtype: Any = np.float6
     }
 
 
-def evaluate_exactly(program: Program, inputs: Mapping[str, Any]) -> Iterator[dict[str, list[Any]]]:
-    """Outputs at each of N states to 50 digits: name -> list of mpf, row by row; NaN where a value does not exist.
+def evaluate_exactly(program: Program, inputs: Mapping[str, Any]) -> Iterator[dict[str, list[Ball]]]:
+    """Outputs at each of N states as balls: name -> list, row by row; NaN where a value does not exist.
 
-    inputs: name -> array (N, size) of floats or mpf.
+    inputs: name -> array (N, size) of floats or balls.
     """
     columns = {name: np.atleast_2d(np.asarray(value)) for name, value in inputs.items()}
     count = max((c.shape[0] for c in columns.values()), default=1)
-    with mp.workdps(DIGITS):
-        steps: list[tuple[Any, tuple[int, ...], Any]] = []
-        for instr in program.instrs:
-            if isinstance(instr.const, Fraction):
-                steps.append((None, (), mp.mpf(instr.const.numerator) / instr.const.denominator))
-            elif instr.const is not None:
-                steps.append((None, (), instr.const))
-            else:
-                steps.append((OPS[instr.op].mpmath, instr.args, None))
+    with working():
+        start = [ball(i.const) if isinstance(i.const, Fraction) else None for i in program.instrs]
+    reads = [(k, *i.const) for k, i in enumerate(program.instrs) if isinstance(i.const, tuple)]
+    steps = [(k, OPS[i.op].ball, i.args) for k, i in enumerate(program.instrs) if i.const is None]
     for n in range(count):
-        with mp.workdps(DIGITS):
-            values: list[Any] = []
-            for function, args, const in steps:
-                if function is not None:
-                    values.append(_real(function, *(values[a] for a in args)))
-                elif isinstance(const, tuple):
-                    column = columns[const[0]]
-                    entry = column[n if len(column) > 1 else 0, const[1]]
-                    values.append(entry if isinstance(entry, mp.mpf) else mp.mpf(float(entry)))
-                else:
-                    values.append(const)
-            result = {o.name: [values[k] for k in o.nodes] for o in program.outputs}
-        yield result
-
-
-def _real(function: Any, *args: Any) -> Any:
-    """The real value of a function, NaN where it has none."""
-    try:
-        value = function(*args)
-    except (ZeroDivisionError, ValueError, OverflowError):
-        return mp.nan
-    return value if isinstance(value, mp.mpf) else (mp.mpf(value) if not isinstance(value, mp.mpc) else mp.nan)
+        values: list[Any] = list(start)
+        with working():
+            for k, name, entry in reads:
+                column = columns[name]
+                values[k] = ball(column[n if len(column) > 1 else 0, entry])
+            for k, function, args in steps:
+                try:
+                    values[k] = function(*[values[a] for a in args])
+                except (ZeroDivisionError, ValueError, OverflowError):
+                    values[k] = NAN
+        yield {o.name: [values[k] if values[k].is_finite() else NAN for k in o.nodes] for o in program.outputs}

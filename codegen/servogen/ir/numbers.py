@@ -5,6 +5,9 @@ from fractions import Fraction
 import mpmath as mp
 import numpy as np
 
+DIGITS = 50
+"""Of what mpmath computes."""
+
 
 def as_fraction(number: mp.mpf) -> Fraction:
     """The exact value of a finite mpf, all its bits kept."""

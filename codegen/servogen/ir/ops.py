@@ -5,15 +5,17 @@ new row. Semantics are C99's (<math.h>); truth values are 0 and 1.
 """
 
 import math
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import casadi as ca
-import mpmath as mp
 import numpy as np
+from flint import arb
 
+from servogen.ir.balls import NAN, ZERO, Ball, ball, middle
 from servogen.ir.field import PRIME, inverse
 
 Evaluator = Callable[..., Any]
@@ -24,7 +26,8 @@ class Op:
     """One operation.
 
     c: its C form; {0}, {1} are the operands, {f} the suffix of <math.h> names ("" or "f"), {real} the type.
-    numpy: on arrays of float64 or float32. mpmath: on mpf, at the working precision.
+    numpy: on arrays of float64 or float32.
+    ball: on balls (balls.py), at the working precision; what jumps is decided by the midpoints.
     exact: on Fractions, or None where the result is irrational in general.
     partials: (operands..., value) -> derivative with respect to each operand, on arrays.
     rounding: its largest error in units in the last place (0.5: correctly rounded; 0: exact).
@@ -38,7 +41,7 @@ class Op:
     casadi_id: int
     c: str
     numpy: Evaluator
-    mpmath: Evaluator
+    ball: Evaluator
     exact: Evaluator | None
     partials: Evaluator
     rounding: float
@@ -88,12 +91,44 @@ def _pow_partials(a: Any, b: Any, v: Any) -> tuple[Any, Any]:
     return b * np.power(a, b - 1), v * np.log(np.where(a > 0, a, 1.0))
 
 
+def _root(a: Ball) -> Ball:
+    """The square root; of a ball around zero whose midpoint is not negative, that of its part from zero on."""
+    return a.nonnegative_part().sqrt() if a.mid() >= 0 else NAN
+
+
+def _less_multiples(whole: Evaluator) -> Evaluator:
+    """a less the whole number of b's that the quotient of the midpoints, which is exact, comes to."""
+    return lambda a, b: a - b * ball(Fraction(whole(middle(a) / middle(b))))
+
+
+def _least(a: Ball, b: Ball) -> Ball:
+    return b if a.is_nan() or b.mid() < a.mid() else a
+
+
+def _greatest(a: Ball, b: Ball) -> Ball:
+    return b if a.is_nan() or b.mid() > a.mid() else a
+
+
+def _decided(test: Evaluator) -> Evaluator:
+    """A comparison of midpoints, its result 0 or 1, or NaN where an operand does not exist."""
+    return lambda *operands: NAN if any(a.is_nan() for a in operands) else arb(int(test(*(a.mid() for a in operands))))
+
+
+def _guarded(a: Ball, b: Ball) -> Ball:
+    return NAN if a.is_nan() else b if a.mid() != 0 else ZERO
+
+
 # One row an operation, kept as a table.
 # fmt: off
 def _remainder(a: Any, b: Any) -> Any:
     """C's remainder, which is exact; numpy has none."""
     one = np.vectorize(lambda x, y: math.nan if math.isinf(x) or y == 0 else math.remainder(x, y), otypes=[float])
     return one(a, b).astype(np.result_type(a, b))
+
+
+def _erf(a: Any) -> Any:
+    """C's erf; numpy has none."""
+    return np.vectorize(math.erf, otypes=[float])(a).astype(np.asarray(a).dtype)
 
 
 _ROWS = (
@@ -108,83 +143,85 @@ _ROWS = (
        lambda a, b, v: (_safe(1.0, b), -_safe(v, b)), 0.5, field=lambda a, b: a * inverse(b) % PRIME, telling=(0,)),
     Op("neg", 1, ca.OP_NEG, "-{0}", np.negative, lambda a: -a, lambda a: -a, lambda a, v: (-np.ones_like(a),), 0.0,
        field=lambda a: -a % PRIME, telling=(0,)),
-    Op("sqrt", 1, ca.OP_SQRT, "sqrt{f}({0})", np.sqrt, mp.sqrt, _exact_sqrt, lambda a, v: (_safe(0.5, v),), 0.5,
+    Op("sqrt", 1, ca.OP_SQRT, "sqrt{f}({0})", np.sqrt, _root, _exact_sqrt, lambda a, v: (_safe(0.5, v),), 0.5,
        telling=(0,)),
-    Op("fabs", 1, ca.OP_FABS, "fabs{f}({0})", np.fabs, mp.fabs, abs, lambda a, v: (np.sign(a),), 0.0,
+    Op("fabs", 1, ca.OP_FABS, "fabs{f}({0})", np.fabs, abs, abs, lambda a, v: (np.sign(a),), 0.0,
        parity="even", telling=(0,)),
-    Op("sin", 1, ca.OP_SIN, "sin{f}({0})", np.sin, mp.sin, _at_zero(0), lambda a, v: (np.cos(a),), 1.0, telling=(0,)),
-    Op("cos", 1, ca.OP_COS, "cos{f}({0})", np.cos, mp.cos, _at_zero(1), lambda a, v: (-np.sin(a),), 1.0, telling=(0,)),
-    Op("tan", 1, ca.OP_TAN, "tan{f}({0})", np.tan, mp.tan, _at_zero(0), lambda a, v: (1.0 + v * v,), 1.0, telling=(0,)),
-    Op("asin", 1, ca.OP_ASIN, "asin{f}({0})", np.arcsin, mp.asin, _at_zero(0),
+    Op("sin", 1, ca.OP_SIN, "sin{f}({0})", np.sin, arb.sin, _at_zero(0), lambda a, v: (np.cos(a),), 1.0, telling=(0,)),
+    Op("cos", 1, ca.OP_COS, "cos{f}({0})", np.cos, arb.cos, _at_zero(1), lambda a, v: (-np.sin(a),), 1.0, telling=(0,)),
+    Op("tan", 1, ca.OP_TAN, "tan{f}({0})", np.tan, arb.tan, _at_zero(0), lambda a, v: (1.0 + v * v,), 1.0,
+       telling=(0,)),
+    Op("asin", 1, ca.OP_ASIN, "asin{f}({0})", np.arcsin, arb.asin, _at_zero(0),
        lambda a, v: (_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, parity="odd", telling=(0,)),
-    Op("acos", 1, ca.OP_ACOS, "acos{f}({0})", np.arccos, mp.acos, None,
+    Op("acos", 1, ca.OP_ACOS, "acos{f}({0})", np.arccos, arb.acos, None,
        lambda a, v: (-_safe(1.0, np.sqrt(1.0 - a * a)),), 1.0, telling=(0,)),
-    Op("atan", 1, ca.OP_ATAN, "atan{f}({0})", np.arctan, mp.atan, _at_zero(0), lambda a, v: (1.0 / (1.0 + a * a),),
+    Op("atan", 1, ca.OP_ATAN, "atan{f}({0})", np.arctan, arb.atan, _at_zero(0), lambda a, v: (1.0 / (1.0 + a * a),),
        1.0, parity="odd"),
-    Op("atan2", 2, ca.OP_ATAN2, "atan2{f}({0}, {1})", np.arctan2, mp.atan2, None,
+    Op("atan2", 2, ca.OP_ATAN2, "atan2{f}({0}, {1})", np.arctan2, arb.atan2, None,
        lambda a, b, v: (_safe(b, a * a + b * b), -_safe(a, a * a + b * b)), 1.0),
-    Op("exp", 1, ca.OP_EXP, "exp{f}({0})", np.exp, mp.exp, _at_zero(1), lambda a, v: (v,), 1.0),
-    Op("log", 1, ca.OP_LOG, "log{f}({0})", np.log, mp.log, lambda a: Fraction(0) if a == 1 else None,
+    Op("exp", 1, ca.OP_EXP, "exp{f}({0})", np.exp, arb.exp, _at_zero(1), lambda a, v: (v,), 1.0),
+    Op("log", 1, ca.OP_LOG, "log{f}({0})", np.log, arb.log, lambda a: Fraction(0) if a == 1 else None,
        lambda a, v: (_safe(1.0, a),), 1.0, telling=(0,)),
-    Op("expm1", 1, ca.OP_EXPM1, "expm1{f}({0})", np.expm1, mp.expm1, _at_zero(0), lambda a, v: (v + 1.0,), 1.0),
-    Op("log1p", 1, ca.OP_LOG1P, "log1p{f}({0})", np.log1p, mp.log1p, _at_zero(0), lambda a, v: (_safe(1.0, 1.0 + a),),
+    Op("expm1", 1, ca.OP_EXPM1, "expm1{f}({0})", np.expm1, arb.expm1, _at_zero(0), lambda a, v: (v + 1.0,), 1.0),
+    Op("log1p", 1, ca.OP_LOG1P, "log1p{f}({0})", np.log1p, arb.log1p, _at_zero(0), lambda a, v: (_safe(1.0, 1.0 + a),),
        1.0, telling=(0,)),
-    Op("sinh", 1, ca.OP_SINH, "sinh{f}({0})", np.sinh, mp.sinh, _at_zero(0), lambda a, v: (np.cosh(a),), 2.0,
+    Op("sinh", 1, ca.OP_SINH, "sinh{f}({0})", np.sinh, arb.sinh, _at_zero(0), lambda a, v: (np.cosh(a),), 2.0,
        parity="odd", telling=(0,)),
-    Op("cosh", 1, ca.OP_COSH, "cosh{f}({0})", np.cosh, mp.cosh, _at_zero(1), lambda a, v: (np.sinh(a),), 2.0,
+    Op("cosh", 1, ca.OP_COSH, "cosh{f}({0})", np.cosh, arb.cosh, _at_zero(1), lambda a, v: (np.sinh(a),), 2.0,
        parity="even", telling=(0,)),
-    Op("tanh", 1, ca.OP_TANH, "tanh{f}({0})", np.tanh, mp.tanh, _at_zero(0), lambda a, v: (1.0 - v * v,), 2.0,
+    Op("tanh", 1, ca.OP_TANH, "tanh{f}({0})", np.tanh, arb.tanh, _at_zero(0), lambda a, v: (1.0 - v * v,), 2.0,
        parity="odd"),
-    Op("asinh", 1, ca.OP_ASINH, "asinh{f}({0})", np.arcsinh, mp.asinh, _at_zero(0),
+    Op("asinh", 1, ca.OP_ASINH, "asinh{f}({0})", np.arcsinh, arb.asinh, _at_zero(0),
        lambda a, v: (1.0 / np.sqrt(1.0 + a * a),), 2.0, parity="odd", telling=(0,)),
-    Op("acosh", 1, ca.OP_ACOSH, "acosh{f}({0})", np.arccosh, mp.acosh, None,
+    Op("acosh", 1, ca.OP_ACOSH, "acosh{f}({0})", np.arccosh, arb.acosh, None,
        lambda a, v: (_safe(1.0, np.sqrt(a * a - 1.0)),), 2.0, telling=(0,)),
-    Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, mp.atanh, _at_zero(0),
+    Op("atanh", 1, ca.OP_ATANH, "atanh{f}({0})", np.arctanh, arb.atanh, _at_zero(0),
        lambda a, v: (_safe(1.0, 1.0 - a * a),), 2.0, parity="odd"),
-    Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, mp.power, _exact_pow, _pow_partials, 1.0),
-    Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, mp.hypot, None,
+    Op("erf", 1, ca.OP_ERF, "erf{f}({0})", _erf, arb.erf, _at_zero(0),
+       lambda a, v: (2.0 / math.sqrt(math.pi) * np.exp(-a * a),), 1.0, parity="odd"),
+    Op("pow", 2, ca.OP_POW, "pow{f}({0}, {1})", np.power, lambda a, b: a**b, _exact_pow, _pow_partials, 1.0),
+    Op("hypot", 2, ca.OP_HYPOT, "hypot{f}({0}, {1})", np.hypot, lambda a, b: (a * a + b * b).sqrt(), None,
        lambda a, b, v: (_safe(a, v), _safe(b, v)), 1.0, commutative=True, telling=(0, 1)),
-    Op("fmod", 2, ca.OP_FMOD, "fmod{f}({0}, {1})", np.fmod, lambda a, b: a - b * _truncate(a / b), None,
+    Op("fmod", 2, ca.OP_FMOD, "fmod{f}({0}, {1})", np.fmod, _less_multiples(math.trunc), None,
        lambda a, b, v: (np.ones_like(a), -np.trunc(_safe(a, b))), 0.0, telling=(0,)),
     Op("remainder", 2, ca.OP_REMAINDER, "remainder{f}({0}, {1})", _remainder,
-       lambda a, b: a - b * mp.nint(a / b), None, lambda a, b, v: (np.ones_like(a), -np.rint(_safe(a, b))), 0.0,
+       _less_multiples(round), None, lambda a, b, v: (np.ones_like(a), -np.rint(_safe(a, b))), 0.0,
        telling=(0,)),
-    Op("fmin", 2, ca.OP_FMIN, "fmin{f}({0}, {1})", np.fmin, min, min, lambda a, b, v: ((a <= b) * 1.0, (a > b) * 1.0),
-       0.0, commutative=True),
-    Op("fmax", 2, ca.OP_FMAX, "fmax{f}({0}, {1})", np.fmax, max, max, lambda a, b, v: ((a >= b) * 1.0, (a < b) * 1.0),
-       0.0, commutative=True),
-    Op("floor", 1, ca.OP_FLOOR, "floor{f}({0})", np.floor, mp.floor, lambda a: Fraction(math.floor(a)), _zero, 0.0),
-    Op("ceil", 1, ca.OP_CEIL, "ceil{f}({0})", np.ceil, mp.ceil, lambda a: Fraction(math.ceil(a)), _zero, 0.0),
-    Op("sign", 1, ca.OP_SIGN, "({real})(({0} > 0) - ({0} < 0))", np.sign, mp.sign,
+    Op("fmin", 2, ca.OP_FMIN, "fmin{f}({0}, {1})", np.fmin, _least, min,
+       lambda a, b, v: ((a <= b) * 1.0, (a > b) * 1.0), 0.0, commutative=True),
+    Op("fmax", 2, ca.OP_FMAX, "fmax{f}({0}, {1})", np.fmax, _greatest, max,
+       lambda a, b, v: ((a >= b) * 1.0, (a < b) * 1.0), 0.0, commutative=True),
+    Op("floor", 1, ca.OP_FLOOR, "floor{f}({0})", np.floor, lambda a: a.mid().floor(),
+       lambda a: Fraction(math.floor(a)), _zero, 0.0),
+    Op("ceil", 1, ca.OP_CEIL, "ceil{f}({0})", np.ceil, lambda a: a.mid().ceil(),
+       lambda a: Fraction(math.ceil(a)), _zero, 0.0),
+    Op("sign", 1, ca.OP_SIGN, "({real})(({0} > 0) - ({0} < 0))", np.sign, lambda a: a.mid().sgn(),
        lambda a: Fraction((a > 0) - (a < 0)), _zero, 0.0, parity="odd"),
     Op("copysign", 2, ca.OP_COPYSIGN, "copysign{f}({0}, {1})", np.copysign,
-       lambda a, b: abs(a) if b >= 0 else -abs(a), None,
+       lambda a, b: -abs(a) if b.mid() < 0 else abs(a), None,
        lambda a, b, v: (np.where(np.signbit(a) == np.signbit(b), 1.0, -1.0), np.zeros_like(b)), 0.0),
-    Op("lt", 2, ca.OP_LT, "({real})({0} < {1})", _truth(np.less), lambda a, b: mp.mpf(a < b),
+    Op("lt", 2, ca.OP_LT, "({real})({0} < {1})", _truth(np.less), _decided(operator.lt),
        lambda a, b: Fraction(a < b), _zero, 0.0),
-    Op("le", 2, ca.OP_LE, "({real})({0} <= {1})", _truth(np.less_equal), lambda a, b: mp.mpf(a <= b),
+    Op("le", 2, ca.OP_LE, "({real})({0} <= {1})", _truth(np.less_equal), _decided(operator.le),
        lambda a, b: Fraction(a <= b), _zero, 0.0),
-    Op("eq", 2, ca.OP_EQ, "({real})({0} == {1})", _truth(np.equal), lambda a, b: mp.mpf(a == b),
+    Op("eq", 2, ca.OP_EQ, "({real})({0} == {1})", _truth(np.equal), _decided(operator.eq),
        lambda a, b: Fraction(a == b), _zero, 0.0, commutative=True),
-    Op("ne", 2, ca.OP_NE, "({real})({0} != {1})", _truth(np.not_equal), lambda a, b: mp.mpf(a != b),
+    Op("ne", 2, ca.OP_NE, "({real})({0} != {1})", _truth(np.not_equal), _decided(operator.ne),
        lambda a, b: Fraction(a != b), _zero, 0.0, commutative=True),
-    Op("not", 1, ca.OP_NOT, "({real})({0} == 0)", _truth(np.logical_not), lambda a: mp.mpf(a == 0),
+    Op("not", 1, ca.OP_NOT, "({real})({0} == 0)", _truth(np.logical_not), _decided(lambda a: a == 0),
        lambda a: Fraction(a == 0), _zero, 0.0),
     Op("and", 2, ca.OP_AND, "({real})({0} != 0 && {1} != 0)", _truth(np.logical_and),
-       lambda a, b: mp.mpf(a != 0 and b != 0), lambda a, b: Fraction(a != 0 and b != 0), _zero, 0.0,
+       _decided(lambda a, b: a != 0 and b != 0), lambda a, b: Fraction(a != 0 and b != 0), _zero, 0.0,
        commutative=True),
     Op("or", 2, ca.OP_OR, "({real})({0} != 0 || {1} != 0)", _truth(np.logical_or),
-       lambda a, b: mp.mpf(a != 0 or b != 0), lambda a, b: Fraction(a != 0 or b != 0), _zero, 0.0, commutative=True),
+       _decided(lambda a, b: a != 0 or b != 0), lambda a, b: Fraction(a != 0 or b != 0), _zero, 0.0,
+       commutative=True),
     Op("if_else_zero", 2, ca.OP_IF_ELSE_ZERO, "({0} != 0 ? {1} : 0)",
-       lambda a, b: np.where(a != 0, b, np.zeros_like(b)), lambda a, b: b if a != 0 else mp.mpf(0),
+       lambda a, b: np.where(a != 0, b, np.zeros_like(b)), _guarded,
        lambda a, b: b if a != 0 else Fraction(0), lambda a, b, v: (np.zeros_like(a), (a != 0) * 1.0), 0.0,
        parity="odd"),
 )
 # fmt: on
-
-
-def _truncate(x: Any) -> Any:
-    return mp.floor(x) if x >= 0 else mp.ceil(x)
 
 
 OPS: dict[str, Op] = {row.name: row for row in _ROWS}

@@ -10,6 +10,7 @@ from servogen.law.steps import (
     Advance,
     Apply,
     Call,
+    Cascade,
     Evaluate,
     Invert,
     Limit,
@@ -110,7 +111,7 @@ class Law:
     def matrix_of(self, solver: str) -> str:
         """The name of the quantity that a solver is given. KeyError where none of its steps names one."""
         for step in self.steps():
-            if isinstance(step, Solve | Apply | React) and step.solver == solver:
+            if isinstance(step, Solve | Cascade | Apply | React) and step.solver == solver:
                 return step.matrix
         raise KeyError(f"law {self.name} gives no matrix to the solver {solver!r}")
 
@@ -167,7 +168,7 @@ def _prints(behind: tuple[Step, ...], info: bool) -> bool:
     places = [row_of(step).places for step in behind]
     if not info:
         return len(places) == 1 and "quiet" in places[0]
-    solves = sum(isinstance(step, Solve | Apply) for step in behind)
+    solves = sum(isinstance(step, Solve | Cascade | Apply) for step in behind)
     return solves == 1 and all("behind" in place for place in places)
 
 
@@ -220,7 +221,7 @@ def restricted(law: Law, names: Collection[str]) -> Law:
     )
 
 
-_Solving = Solve | Apply | React | Limit | Invert | Project
+_Solving = Solve | Cascade | Apply | React | Limit | Invert | Project
 
 
 def of_the_state(routine: Routine) -> bool:
@@ -270,7 +271,7 @@ def _printed(step: Step) -> str:
 def _text(name: str, value: Any) -> str:
     if name == "pattern":
         return ";".join(",".join(f"{e}:{j}" for e, j in row) for row in value)
-    if name == "places":
+    if name in ("places", "levels"):
         return ";".join(":".join(str(x) for x in place) for place in value)
     if name in ("moved", "no_lower", "no_upper"):
         return ":".join(str(x) for x in value)
@@ -284,7 +285,7 @@ def _value(name: str, text: str) -> Any:
             for row in text.split(";")
         )
         return pattern
-    if name == "places":
+    if name in ("places", "levels"):
         return tuple(tuple(int(x) for x in place.split(":")) for place in text.split(";"))
     if name == "moved":
         return tuple(text.split(":"))

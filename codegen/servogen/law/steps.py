@@ -41,6 +41,22 @@ class Solve:
 
 
 @dataclass(frozen=True)
+class Cascade:
+    """into = the lexicographic least squares of matrix x = right nearest to free (zero where it is ""), level by level.
+
+    levels: the rows of each, first in priority first; every row in one of them. Each level is solved as by Solve,
+    within what the levels before it leave open.
+    """
+
+    into: str
+    solver: str
+    matrix: str
+    right: str
+    levels: tuple[tuple[int, ...], ...]
+    free: str = ""
+
+
+@dataclass(frozen=True)
 class Apply:
     """The same as Solve with M+ at hand, for no state changes M: plan puts it in the place of such a Solve."""
 
@@ -152,7 +168,7 @@ class Call:
     moved: tuple[str, str] | None = None
 
 
-Step = Evaluate | Solve | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
+Step = Evaluate | Solve | Cascade | Apply | React | Multiply | Limit | Invert | Project | Advance | Call
 
 
 Place = Literal["alone", "first", "behind", "quiet", "between", "limiting"]
@@ -187,12 +203,19 @@ def _fits(good: bool, problem: str) -> None:
         raise ShapeError(problem)
 
 
-def _solved(step: Solve | Apply, shapes: Mapping[str, Shape]) -> Shape:
+def _solved(step: Solve | Cascade | Apply, shapes: Mapping[str, Shape]) -> Shape:
     (m, l), right = shapes[step.matrix], shapes[step.right]
     _fits(right == (m, 1), f"{step.matrix} of {m} x {l} and {step.right} of {right[0]} x {right[1]}")
     if step.free:
         _fits(shapes[step.free] == (l, 1), f"{step.matrix} of {m} x {l} and the free {step.free}")
     return l, 1
+
+
+def _cascaded(step: Cascade, shapes: Mapping[str, Shape]) -> Shape:
+    rows = sorted(i for level in step.levels for i in level)
+    m = shapes[step.matrix][0]
+    _fits(rows == list(range(m)) and all(step.levels), f"levels that do not hold each of the {m} rows once")
+    return _solved(step, shapes)
 
 
 def _reacted(step: React, shapes: Mapping[str, Shape]) -> Shape:
@@ -263,6 +286,14 @@ STEPS: dict[type, Row] = {
         ("alone", "behind"),
         lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
         _solved,
+        (*_RANK, *_REFUSED),
+        True,
+    ),
+    Cascade: Row(
+        "cascade",
+        ("behind",),
+        lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
+        _cascaded,
         (*_RANK, *_REFUSED),
         True,
     ),

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import mpmath as mp
 
-from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import DIGITS
 from servogen.ir.program import Instr, Program, check_legal, rebuild
 
 NEAREST = 1e-10

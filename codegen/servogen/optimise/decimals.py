@@ -14,7 +14,7 @@ from math import prod
 
 import mpmath as mp
 
-from servogen.ir.evaluate import DIGITS
+from servogen.ir.numbers import DIGITS
 from servogen.ir.program import Instr, Program
 
 _ULP = 2.0**-52

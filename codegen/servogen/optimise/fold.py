@@ -2,10 +2,7 @@
 
 from fractions import Fraction
 
-import mpmath as mp
-
-from servogen.ir.evaluate import DIGITS
-from servogen.ir.numbers import as_fraction
+from servogen.ir.balls import BITS, balls, middle, working
 from servogen.ir.ops import OPS
 from servogen.ir.program import Instr, Output, Program
 
@@ -14,7 +11,7 @@ _LARGEST_UNROLLED_POWER = 16
 
 
 def fold(program: Program) -> Program:
-    """Constants are computed exactly (irrational ones to 50 digits), operations with 0 and 1 vanish, signs move out."""
+    """Constants are computed exactly (or to 120 digits), operations with 0 and 1 vanish, signs move out."""
     folder = _Folder()
     number: list[int] = []
     for instr in program.instrs:
@@ -189,16 +186,14 @@ def _is_power_of_two(value: Fraction) -> bool:
 
 
 def _constant_value(op: str, operands: list[Fraction]) -> Fraction | None:
-    """The value of an operation on constants: exact, or to 50 digits; None where it has no real value."""
+    """The value of an operation on constants: exact, or to 120 digits; None where it has no real one."""
     row = OPS[op]
     value = row.exact(*operands) if row.exact is not None else None
     if value is not None:
         return Fraction(value)
-    with mp.workdps(DIGITS):
+    with working(2 * BITS):
         try:
-            rounded = row.mpmath(*(mp.mpf(c.numerator) / c.denominator for c in operands))
+            rounded = row.ball(*balls(operands))
         except (ZeroDivisionError, ValueError, OverflowError):
             return None
-        if not isinstance(rounded, mp.mpf) or not mp.isfinite(rounded):
-            return None
-        return as_fraction(rounded)
+        return middle(rounded) if rounded.is_finite() else None

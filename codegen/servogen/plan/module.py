@@ -10,8 +10,9 @@ from servogen.ir.ops import OPS
 from servogen.ir.program import Program
 from servogen.ir.telling import told_inputs, watched_outputs
 from servogen.law.law import Law
-from servogen.law.steps import STATE, SYSTEM, Apply, Limit, Solve
+from servogen.law.steps import STATE, SYSTEM, Apply, Cascade, Limit, Solve
 from servogen.plan.bounds import BoundPlan
+from servogen.plan.cascade import CascadePlan
 from servogen.plan.chunks import Chunks
 from servogen.plan.mathematics import Math, Pairs, own_functions
 from servogen.plan.solver import SolverPlan
@@ -135,7 +136,7 @@ class Module:
 
     law: what happens between the kernels. system: the names of what it solves, None where it solves no scene's.
     solvers: the plans of the law's solvers, by name. known_matrix: how the matrix of an Apply is at hand.
-    limits: the plan of the law's Limit.
+    limits: the plan of the law's Limit. cascade: that of its Cascade.
     """
 
     scene: str
@@ -153,6 +154,7 @@ class Module:
     solvers: Mapping[str, SolverPlan] = field(default_factory=dict)
     known_matrix: KnownMatrix | None = None
     limits: BoundPlan | None = None
+    cascade: CascadePlan | None = None
     skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -176,7 +178,7 @@ class Module:
     @property
     def free(self) -> Literal["input", "expression"] | None:
         """Where y of the answer comes from in the user's words: weighted, an input is an expression to the solver."""
-        answers = [s for s in self.law.steps() if isinstance(s, Solve | Apply) and s.solver == SYSTEM]
+        answers = [s for s in self.law.steps() if isinstance(s, Solve | Cascade | Apply) and s.solver == SYSTEM]
         if self.system is None or not any(s.free for s in answers):
             return None
         return "input" if any(f.name == "y" for f in self.inputs) else "expression"

@@ -1,5 +1,6 @@
 """Floating-point operations of a solver: what its ladder takes, step by step."""
 
+from servogen.plan.cascade import CascadePlan
 from servogen.plan.solver import SolverPlan
 
 Operations = dict[str, int]
@@ -24,6 +25,47 @@ def solver_operations(plan: SolverPlan) -> dict[str, Operations]:
     if plan.method == "cod":
         return {"qr": qr, "cod": _cod(plan)}
     return {"normal": normal, "qr": _sum((1, normal), (1, qr)), "svd": _sum((1, normal), (1, qr), (1, svd))}
+
+
+def cascade_operations(cascade: CascadePlan, solver: SolverPlan) -> dict[str, Operations]:
+    """The same of priorities, where every row gives a direction as long as any is left: "qr", and "svd" with the SVD of
+    every level that has two rows, at its cap of sweeps."""
+    l, spanned, steps = cascade.l, 0, list[tuple[int, Operations]]()
+    turns: list[tuple[int, Operations]] = []
+    dot, add = _dot(l), _total(l, l)
+    for level in cascade.levels:
+        rows = len(level)
+        own = min(rows, l - spanned)
+        steps.append((rows * (2 if spanned else 1), dot))
+        steps.append((2 * rows * spanned, _sum((1, dot), (1, add))))
+        for k in range(own):
+            steps.append((spanned + k, _sum((1, dot), (1, add))))
+            steps.append((1, _sum((1, dot), (1, _total(div=l, sqrt=1)))))
+            steps.append((rows - 1 - k, _sum((2, dot), (1, add))))
+        steps.append((_triples(own + 1), _total(add=1, mul=1)))
+        steps.append((_pairs(own + 1), _total(add=1, mul=1, div=1)))
+        steps.append((rows * own, _total(add=1, mul=1)))
+        move = _sum((rows, _sum((1, dot), (1, _total(add=1)))), (own, add))
+        if rows == own:
+            move = _sum((1, move), (_pairs(own), _total(add=1, mul=1)), (own, _total(div=1)))
+        else:
+            steps += [
+                (rows * own, _total(add=1, mul=4)),
+                (own, _total(div=1)),
+                (_triples(own + 1), _total(add=1, mul=2)),
+            ]
+            steps += [(rows * _pairs(own), _total(add=2, mul=2)), (rows * _triples(own + 1), _total(add=1, mul=2))]
+            move = _sum((1, move), (own * rows, _total(2, 2)), (_pairs(own), _total(add=1, mul=1)))
+        steps.append((2, move))
+        product, rotation = _total(rows, 2 * rows), _total(4 * (rows + l), 4 * (rows + l))
+        turn = _sum((3, product), (1, rotation), (1, _total(add=5, mul=10, div=3, sqrt=2)))
+        turns.append((cascade.sweep_cap * _pairs(own), turn))
+        spanned += own
+    qr = _sum(*steps)
+    if not cascade.turns:
+        return {"qr": qr}
+    svd = _sum((1, qr), *turns)
+    return {"svd": svd} if solver.method == "svd" else {"qr": qr, "svd": svd}
 
 
 def known_operations(solver: SolverPlan, free: bool) -> dict[str, Operations]:

@@ -11,6 +11,7 @@ from servogen.ir.program import Input, Program
 from servogen.law.law import Law, Routine, check_legal, restricted
 from servogen.law.steps import SYSTEM, Apply, Evaluate, Invert, Limit, Project, Solve, Step, handed_out
 from servogen.plan.bounds import plan_bounds
+from servogen.plan.cascade import plan_cascade
 from servogen.plan.chunks import split
 from servogen.plan.known_matrix import plan_known_matrix
 from servogen.plan.mathematics import Math, pair_angles
@@ -69,6 +70,7 @@ def plan(
         solvers=solvers,
         known_matrix=known,
         limits=plan_bounds(law, solvers),
+        cascade=plan_cascade(law, solvers),
         skipped=what_is_skipped(formulation, optimised, law, known, solvers, inputs, staged),
     )
 
@@ -211,6 +213,8 @@ def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
+    if len(scene.levels) > 1:
+        text.append(repr(scene.levels))
     if scene.sides is not None:
         text += [
             scene.sides.policy,

@@ -10,7 +10,7 @@ import hashlib
 import heapq
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from servogen.plan.module import Module
@@ -33,6 +33,12 @@ _OF_ROWS = re.compile(r"atol|ATOL|ROOT_L|SQUARE_(LOW|HIGH|FLOOR)(_\d+)?")
 _SHORT = 16
 """Lines up to which a function of bits is compiled where it is called."""
 
+_SERIES = ("reduce", "sin", "cos", "sincos")
+"""Functions of few lines that take others into them: one copy in the image."""
+
+_COMMENT = re.compile(r"\A/\*(?:[^*]|\*(?!/))*\*/\n")
+_HIDDEN = "static\n"
+
 _FOR_ANY_SHAPE = ("refuse", "copy", "finite", "INLINE_WITH_VECTORS", "UNROLL")
 """What stands among a solver's or a scene's functions and depends on the scalar alone."""
 
@@ -40,11 +46,12 @@ _FOR_ANY_SHAPE = ("refuse", "copy", "finite", "INLINE_WITH_VECTORS", "UNROLL")
 @dataclass(frozen=True)
 class Block:
     """A piece of C between two others, its comment included. names: what it defines; kind: "#" (constants, attributes
-    and whatever is compiled under conditions), "type", "data" or "function"."""
+    and whatever is compiled under conditions), "type", "data" or "function"; named: whether a package's C names it."""
 
     names: tuple[str, ...]
     kind: str
     text: str
+    named: bool = field(default=False, compare=False)
 
     @property
     def words(self) -> frozenset[str]:
@@ -153,13 +160,14 @@ def cut_out(text: str, module: Module, of_words: str) -> tuple[str, Mapping[str,
     for i, j in sorted([*((i, j) for _, i, j in kept), *aliases], reverse=True):
         own = own[:i] + own[j:].removeprefix("\n")
     own = _renamed(_HEADING_OF_NOTHING.sub("", re.sub(r"\n{3,}", "\n\n", own)), renamed)
+    named = set(_WORD.findall(own))
     blocks: dict[str, Block] = {}
     whole = [f for f, _, _ in blocks_of(of_words) if f.kind == "#" and len(f.names) > 1]
     for b, _, _ in kept:
         # of attributes a package has those that it uses, a core all
         full = next((f for f in whole if b.kind == "#" and set(b.names) <= set(f.names)), b)
         block = _shareable(full, renamed | {n: str(names.in_core(n)) for n in full.names}, names)
-        blocks[block.names[0]] = block
+        blocks[block.names[0]] = replace(block, named=not named.isdisjoint(block.names))
     return own, blocks
 
 
@@ -175,8 +183,9 @@ def _stands_alone(block: Block, taken: set[str], names: "_Names", prefix: str) -
 
 def _shareable(block: Block, renamed: Mapping[str, str], names: "_Names") -> Block:
     """The block by the core's names, and functions static no more where they are long or of one shape."""
+    rest = {names.rest(n)[1] for n in block.names}
     inline = block.kind == "#" or (
-        all(names.rest(n)[1] in names.of_scalar for n in block.names) and block.text.count("\n") <= _SHORT
+        rest <= names.of_scalar and rest.isdisjoint(_SERIES) and block.text.count("\n") <= _SHORT
     )
     # what stands above a constant is of a group, whose first one is another in another package
     code = re.sub(r"\A(?:/\*(?:[^*]|\*(?!/))*\*/\n)+(?=#define)", "", block.text)
@@ -219,8 +228,8 @@ class _Names:
         if rest == name:
             return None
         plan = self._module.solvers[solver]
-        if rest not in self.of_scalar and plan.atol_used and _OF_ROWS.fullmatch(rest):
-            return None
+        if rest not in self.of_scalar and (plan.form != "full" or (plan.atol_used and _OF_ROWS.fullmatch(rest))):
+            return None  # the closed form of a row or column is inlined where it is called, which gains more
         stem = _stem(self._core, self._scalar)
         stem = stem if rest in self.of_scalar else f"{stem}_{plan.m}x{plan.l}{_variant(plan)}"
         return f"{stem.upper() if rest.isupper() or rest.upper() == rest else stem}_{rest}"
@@ -268,7 +277,31 @@ def ordered(blocks: Iterable[Block]) -> list[Block]:
     return result
 
 
+def merged(needed: Iterable[Block]) -> list[Block]:
+    """What several packages need, each block once: `named` where one of them, or the header, names it."""
+    found: dict[tuple[str, ...], Block] = {}
+    for b in needed:
+        if b.named or b.names not in found:
+            found[b.names] = b
+    inside = {w for b in found.values() if b.kind != "function" for w in b.words}
+    return [replace(b, named=b.named or not inside.isdisjoint(b.names)) for b in found.values()]
+
+
 def prototype(block: Block) -> str:
     """The declaration of a function."""
-    code = re.sub(r"\A/\*(?:[^*]|\*(?!/))*\*/\n", "", block.text)
+    code = _COMMENT.sub("", block.text)
     return code[: code.index("\n{\n")] + ";\n"
+
+
+def hidden(block: Block) -> str:
+    """The function's C where nothing outside the core's file calls it: `static` on a line of its own."""
+    comment = _COMMENT.match(block.text)
+    begin = comment.end() if comment else 0
+    return block.text[:begin] + _HIDDEN + block.text[begin:]
+
+
+def unhidden(block: Block) -> Block:
+    """The block that `hidden` may have printed."""
+    comment = _COMMENT.match(block.text)
+    begin = comment.end() if comment else 0
+    return replace(block, text=block.text[:begin] + block.text[begin:].removeprefix(_HIDDEN))

@@ -33,14 +33,22 @@ def statements(code: Kernel | Prepare, scalar: str, own: str = "") -> tuple[list
     """
     program = code.program
     # of prepare's temporaries most lead to many fields of the model: a list of them would tell nothing
-    printer = _Printer(program, scalar, own, code.pairs, told=isinstance(code, Kernel))
-    lines = list(printer.lines(0, len(program.instrs)))
-    return lines, {o.name: [printer.text[n] for n in o.nodes] for o in program.outputs}
+    return printed(Printer(program, scalar, own, code.pairs, told=isinstance(code, Kernel)))
 
 
 def pieces(program: Program, chunks: Chunks, scalar: str, own: str = "") -> tuple[list[Piece], dict[str, list[str]]]:
     """(statements of each piece, which load from and store to live[], output name -> its entries at the end)."""
-    printer = _Printer(program, scalar, own, ())
+    return printed_pieces(Printer(program, scalar, own, ()), chunks)
+
+
+def printed(printer: "Printer") -> tuple[list[str], dict[str, list[str]]]:
+    """All statements of a printer's program, and its outputs as `statements` gives them."""
+    lines = list(printer.lines(0, len(printer.program.instrs)))
+    return lines, {o.name: [printer.text[n] for n in o.nodes] for o in printer.program.outputs}
+
+
+def printed_pieces(printer: "Printer", chunks: Chunks) -> tuple[list[Piece], dict[str, list[str]]]:
+    """The statements of a printer's program in pieces, and its outputs as `pieces` gives them."""
     found = []
     for chunk in chunks.pieces:
         lines = [f"const {printer.real} {printer.text[k]} = live[{slot}];" for k, slot in chunk.loads]
@@ -50,7 +58,7 @@ def pieces(program: Program, chunks: Chunks, scalar: str, own: str = "") -> tupl
         found.append(Piece(tuple(lines), frozenset(s for s in _STRUCT.values() if f"{s}->" in text)))
     for k, slot in chunks.results:
         printer.text[k] = f"live[{slot}]"
-    return found, {o.name: [printer.expression(n) for n in o.nodes] for o in program.outputs}
+    return found, {o.name: [printer.expression(n) for n in o.nodes] for o in printer.program.outputs}
 
 
 def reads(program: Program, kind: str) -> bool:
@@ -59,7 +67,7 @@ def reads(program: Program, kind: str) -> bool:
     return any(isinstance(i.const, tuple) and i.const[0] in names for i in program.instrs)
 
 
-class _Printer:
+class Printer:
     """Instructions as C, in order; `text` is what stands for each."""
 
     def __init__(self, program: Program, scalar: str, own: str, pairs: Pairs, told: bool = True) -> None:
@@ -90,20 +98,29 @@ class _Printer:
         name = f"t{self.count}"
         self.count += 1
         operands = [self.text[a] for a in instr.args]
-        if k in self.partner:
-            self.text.append(f"{name}.{instr.op}")
+        paired = k in self.partner
+        self.text.append(f"{name}.{instr.op}" if paired else name)
+        return self.declared(name, instr, operands, paired)
+
+    def declared(self, name: str, instr: Instr, operands: list[str], paired: bool) -> str:
+        """A temporary as C; paired: a sine and a cosine at once."""
+        if paired:
             return f"const {self.own}_pair {name} = {self.own}_sincos({operands[0]});"
-        self.text.append(name)
         if self.own and instr.op in OWN_OPS:
             return f"const {self.real} {name} = {self.own}_{instr.op}({operands[0]});"
         return f"const {self.real} {name} = {OPS[instr.op].c.format(*operands, f=self.suffix, real=self.real)};"
 
+    def same_for_all(self, text: str) -> str:
+        """A number that does not depend on the state."""
+        return text
+
     def _written(self, k: int, instr: Instr) -> str | None:
         if isinstance(instr.const, Fraction):
-            return literal(instr.const, self.scalar)
+            return self.same_for_all(literal(instr.const, self.scalar))
         if instr.const is not None:
             struct, size = self.sizes[instr.const[0]]
-            return f"{struct}->{instr.const[0]}" + (f"[{instr.const[1]}]" if size > 1 else "")
+            place = f"{struct}->{instr.const[0]}" + (f"[{instr.const[1]}]" if size > 1 else "")
+            return place if struct == "in" else self.same_for_all(place)
         if k in self.partner and self.partner[k] < k:  # the pair is there already
             return f"{self.text[self.partner[k]].partition('.')[0]}.{instr.op}"
         return _negated(self.text[instr.args[0]]) if instr.op == "neg" else None

@@ -17,6 +17,7 @@ from servogen.law.steps import (
     SYSTEM,
     Apply,
     Call,
+    Cascade,
     Evaluate,
     Invert,
     Project,
@@ -27,10 +28,11 @@ from servogen.law.steps import (
     row_of,
 )
 from servogen.plan.module import Module, Target, cost_of
-from servogen.plan.operations import known_operations, solver_operations
+from servogen.plan.operations import cascade_operations, known_operations, solver_operations
 from servogen.render import core
 from servogen.render.fold import folded
 from servogen.render.kernels import pieces, reads, statements
+from servogen.render.lanes import lanes_context
 from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
 from servogen.render.solver_context import PLAIN, paths, solver_context, statuses
@@ -65,16 +67,17 @@ def environment(folder: str = "render") -> Environment:
     return templates
 
 
-def render(module: Module, casadi_abi: bool = False) -> tuple[SourceFile, ...]:
+def render(module: Module, casadi_abi: bool = False, batch: bool = False) -> tuple[SourceFile, ...]:
     """<prefix>.h, <prefix>.c, CMakeLists.txt and manifest.json of a scene, of a solver alone or of a plant.
 
     casadi_abi: also <prefix>_casadi.c, which `casadi.external` loads (scenes only).
+    batch: also <prefix>_batch.h and .c, many states at once.
     """
-    return render_with_core(module, casadi_abi)[0]
+    return render_with_core(module, casadi_abi, batch)[0]
 
 
 def render_with_core(
-    module: Module, casadi_abi: bool = False
+    module: Module, casadi_abi: bool = False, batch: bool = False
 ) -> tuple[tuple[SourceFile, ...], Mapping[str, core.Block]]:
     """The files, and what they need of the target's core; nothing where it has none."""
     _check_defaults(module)
@@ -89,11 +92,16 @@ def render_with_core(
     files = [
         SourceFile(f"{prefix}.h", folded(templates.get_template(f"{kind}.h.j2").render(context))),
         SourceFile(f"{prefix}.c", folded(source)),
-        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context)),
+        SourceFile("CMakeLists.txt", templates.get_template("CMakeLists.txt.j2").render(context | {"batch": batch})),
     ]
     if casadi_abi:
         shim = templates.get_template("casadi.c.j2").render(context | _shim(module))
         files.append(SourceFile(f"{prefix}_casadi.c", shim))
+    if batch:
+        lanes = context | lanes_context(module)
+        files.append(SourceFile(f"{prefix}_batch.h", folded(templates.get_template("batch.h.j2").render(lanes))))
+        many = without_unused(templates.get_template("batch.c.j2").render(lanes))
+        files.append(SourceFile(f"{prefix}_batch.c", folded(many)))
     return (*files, SourceFile("manifest.json", _manifest(module, files))), blocks
 
 
@@ -109,7 +117,7 @@ def render_core(
     name: str, users: Mapping[str, Mapping[str, core.Block]], scalars: Sequence[Scalar]
 ) -> tuple[SourceFile, ...]:
     """<name>.h, <name>.c and CMakeLists.txt of a core. users: by prefix, what they need; scalars: theirs."""
-    blocks = core.ordered({b.names: b for needed in users.values() for b in needed.values()}.values())
+    blocks = core.ordered(core.merged(b for needed in users.values() for b in needed.values()))
     context = {
         "core": name,
         "C": name.upper(),
@@ -118,8 +126,10 @@ def render_core(
         "infos": [(Target(s, name).real, core.info_type(name, s)) for s in EPSILON if s in scalars],
         "statuses": statuses(),
         "paths": paths(),
-        "inside": [core.prototype(b) if b.kind == "function" else b.text for b in blocks],
-        "functions": [b.text for b in blocks if b.kind == "function"],
+        "inside": [
+            core.prototype(b) if b.kind == "function" else b.text for b in blocks if b.kind != "function" or b.named
+        ],
+        "functions": [b.text if b.named else core.hidden(b) for b in blocks if b.kind == "function"],
     }
     found = {f"{name}.h": "core.h.j2", f"{name}.c": "core.c.j2", "CMakeLists.txt": "core_CMakeLists.txt.j2"}
     return tuple(SourceFile(n, environment().get_template(t).render(context)) for n, t in found.items())
@@ -130,7 +140,7 @@ def _context(module: Module) -> dict[str, Any]:
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
-        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits)
+        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits, module.cascade)
     else:
         evaluating = (Status.OK, *STEPS[Evaluate].statuses)
         numbers = {
@@ -253,6 +263,11 @@ def _solver_cost(module: Module) -> str:
     if module.known_matrix is not None:
         total = known_operations(module.solver, module.free is not None)["apply"]["total"]
         return f"{total} operations, no factorisation"
+    if module.cascade is not None:
+        costs = cascade_operations(module.cascade, module.solver)
+        usual = f"{costs['qr']['total']} operations (QR, level by level), " if "qr" in costs else ""
+        cap = module.cascade.sweep_cap
+        return f"{usual}at most {costs['svd']['total']} (SVD, {cap} sweeps a level)" if "svd" in costs else usual[:-2]
     costs = solver_operations(module.solver)
     if "closed_form" in costs:
         return f"{costs['closed_form']['total']} operations, closed form"
@@ -276,6 +291,8 @@ def _manifest(module: Module, files: list[SourceFile]) -> str:
     if module.solver is not None:
         manifest["solver"] = module.solver.to_json() | {"operations": costs}
         manifest["solver"]["known"] = module.known_matrix.when if module.known_matrix else None
+        if module.cascade is not None:
+            manifest["solver"]["priorities"] = module.cascade.to_json()
         if module.limits is not None:
             manifest["solver"]["limits"] = module.limits.to_json()
     if module.target.core:
@@ -325,6 +342,9 @@ def _solving(module: Module, routine: Routine) -> dict[str, Any]:
     for step in reversed(routine.steps):
         if isinstance(step, Apply):
             return known_operations(module.solvers[step.solver], module.free is not None)
+        if isinstance(step, Cascade):
+            assert module.cascade is not None
+            return cascade_operations(module.cascade, module.solvers[step.solver])
         if isinstance(step, Call):
             return _solving(module, module.law.routine(step.routine))
         if isinstance(step, Solve | Invert | Project | React):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from servogen.plan.bounds import BoundPlan
+from servogen.plan.cascade import CascadePlan
 from servogen.plan.solver import SolverPlan
 from servogen.results import OF_LIMITS, PATH_MEANING, STATUS_MEANING, Path, Status
 from servogen.scalars import BITS
@@ -13,9 +14,14 @@ PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
 
 
 def solver_context(
-    plan: SolverPlan, prefix: str, literal: Callable[[float], str], bound: BoundPlan | None = None
+    plan: SolverPlan,
+    prefix: str,
+    literal: Callable[[float], str],
+    bound: BoundPlan | None = None,
+    cascade: CascadePlan | None = None,
 ) -> dict[str, Any]:
-    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound: of limits, if there are."""
+    """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound, cascade: of limits
+    and priorities, if there are."""
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -27,6 +33,7 @@ def solver_context(
         "solved": PLAIN,
         "lit": literal,
         "bound": bound,
+        "cascade": cascade,
         "statuses": statuses(bound is not None),
         "paths": paths(),
     }

@@ -75,6 +75,11 @@ class Report:
         return (*self.remarks, *dict.fromkeys(text for scene in self.scenes for text in scene.skipped))
 
     @property
+    def held(self) -> bool:
+        """Whether the loop of every scene was run, and held."""
+        return all(scene.loop is not None and scene.loop.trajectory.verdict.held for scene in self.scenes)
+
+    @property
     def wrong_input(self) -> bool:
         """Whether a scene itself was at fault."""
         return any(m.wrong_input for scene in self.scenes for m in scene.missing.values())

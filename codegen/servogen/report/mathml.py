@@ -12,7 +12,9 @@ GREEK = dict(
         strict=True,
     )
 )
-_FORMULA = re.compile(r"\^(-1|-T|T|\+)|([A-Za-z]+(?:_[A-Za-z0-9_]+)?)([0-9]*)('*)|([0-9.]+)|([-+=,()|\[\]])|(\s+)|(.)")
+_FORMULA = re.compile(
+    r"\^(-1|-T|T|\+|\([a-z0-9-]+\))|([A-Za-z]+(?:_[A-Za-z0-9_]+)?)([0-9]*)('*)|([0-9.]+)|([-+=,()|\[\]])|(\s+)|(.)"
+)
 _MATRICES = frozenset("A B C D F G J K L N P Q R S T W X I".split())
 
 
@@ -89,6 +91,10 @@ def formula(text: str) -> str:
 
 
 def _power(power: str) -> str:
+    if power[0] == "(":  # of a derivative
+        return tag(
+            "mrow", *(mn(x) if x.isdigit() else mi(x) if x.isalpha() else mo(x.replace("-", "−")) for x in power)
+        )
     return tag("mrow", mo("−"), mi("T", upright=True)) if power == "-T" else mi(power) if power == "T" else mo(power)
 
 

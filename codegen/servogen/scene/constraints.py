@@ -1,5 +1,6 @@
 """Servo-constraints, and the stability of the dynamics the user prescribes for them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar
@@ -11,6 +12,7 @@ import numpy as np
 from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
+from servogen.scene.symbols import derived
 
 
 def _label(name: object) -> str:
@@ -24,6 +26,12 @@ def _rows(value: Any, what: str) -> Any:
     if sx.size1() == 0:
         raise SceneError(f"{what} is empty; give at least one row")
     return sx
+
+
+def _priority(value: object, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise SceneError(f"{what}: priority={value!r}; give an integer, the lower the more important")
+    return int(value)
 
 
 def theta_matrix(Theta: Any, m: int, what: str) -> Any:
@@ -86,11 +94,13 @@ class Nonholonomic:
     """psi(q, u, t) = 0, imposed as psi' = Theta psi, Eqs. (3)-(9).
 
     Theta: number, vector (diagonal), m x m matrix, or SX of parameters; a numeric one must be Hurwitz.
+    priority: an integer; constraints of higher numbers get what those of lower ones leave open.
     """
 
     name: str
     psi: Any
     Theta: Any
+    priority: int = 0
 
     word: ClassVar = "nonholonomic"
     symbol: ClassVar = "psi"
@@ -102,6 +112,7 @@ class Nonholonomic:
         Theta = theta_matrix(self.Theta, psi.size1(), f"{what}: Theta")
         if Theta.is_constant():
             check_hurwitz(Theta, f"{what}: Theta")
+        object.__setattr__(self, "priority", _priority(self.priority, what))
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta", Theta)
 
@@ -114,8 +125,8 @@ class Nonholonomic:
         return "psi' = Theta psi"
 
     @property
-    def decay(self) -> Any:
-        return self.Theta
+    def thetas(self) -> tuple[Any, ...]:
+        return (self.Theta,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +134,14 @@ class Holonomic:
     """psi(q, t) = 0, imposed as psi'' = Theta1 psi' + Theta2 psi, Eqs. (11)-(12).
 
     Theta1, Theta2 as for Nonholonomic; numeric ones must make the companion [[0, I], [Theta2, Theta1]] Hurwitz.
+    priority: as for Nonholonomic.
     """
 
     name: str
     psi: Any
     Theta1: Any
     Theta2: Any
+    priority: int = 0
 
     word: ClassVar = "holonomic"
     symbol: ClassVar = "psi"
@@ -142,8 +155,9 @@ class Holonomic:
         Theta2 = theta_matrix(self.Theta2, m, f"{what}: Theta2")
         if Theta1.is_constant() and Theta2.is_constant():
             check_hurwitz(
-                companion(Theta1, Theta2), f"{what}: the companion [[0, I], [Theta2, Theta1]] of Theta1 and Theta2"
+                companion((Theta2, Theta1)), f"{what}: the companion [[0, I], [Theta2, Theta1]] of Theta1 and Theta2"
             )
+        object.__setattr__(self, "priority", _priority(self.priority, what))
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta1", Theta1)
         object.__setattr__(self, "Theta2", Theta2)
@@ -157,14 +171,69 @@ class Holonomic:
         return "psi'' = Theta1 psi' + Theta2 psi"
 
     @property
-    def decay(self) -> Any:
-        return companion(self.Theta1, self.Theta2)
+    def thetas(self) -> tuple[Any, ...]:
+        return (self.Theta2, self.Theta1)
 
 
-def companion(Theta1: Any, Theta2: Any) -> Any:
-    """[[0, I], [Theta2, Theta1]], whose eigenvalues are those of psi'' = Theta1 psi' + Theta2 psi."""
-    m = Theta1.size1()
-    return ca.vertcat(ca.horzcat(ca.SX(m, m), ca.SX.eye(m)), ca.horzcat(Theta2, Theta1))
+@dataclass(frozen=True, eq=False)
+class Output:
+    """psi(q, u, t) = 0, of relative degree r = len(Theta), imposed as psi^(r) = T0 psi + T1 psi' + ...
+
+    Theta: the list [T0, T1, ...], each as for Nonholonomic; where all are numeric their companion
+    [[0, I, 0], [0, 0, I], [T0, T1, T2]] (r = 3) must be Hurwitz. No derivative of psi below the r-th may reach tau, and
+    the r-th must: both are proved when the scene is built, and a SceneError names the row and its own degree.
+    Holonomic(psi, Theta1, Theta2) is Output(psi, [Theta2, Theta1]), and Nonholonomic(psi, Theta) is
+    Output(psi, [Theta]). Isidori (1995), Section 5.1: the relative degree, and this law.
+    priority: as for Nonholonomic.
+    """
+
+    name: str
+    psi: Any
+    Theta: Any
+    priority: int = 0
+
+    word: ClassVar = "output"
+    symbol: ClassVar = "psi"
+
+    def __post_init__(self) -> None:
+        what = _label(self.name)
+        psi = _rows(self.psi, f"{what}: psi")
+        if not isinstance(self.Theta, list | tuple) or not self.Theta:
+            raise SceneError(
+                f"{what}: Theta must be the list [T0, T1, ...], one for psi and each of its derivatives below the one "
+                f"that the controls reach; got {self.Theta!r}"
+            )
+        thetas = tuple(theta_matrix(T, psi.size1(), f"{what}: T{k}") for k, T in enumerate(self.Theta))
+        if all(T.is_constant() for T in thetas):
+            check_hurwitz(companion(thetas), f"{what}: the companion of Theta")
+        object.__setattr__(self, "priority", _priority(self.priority, what))
+        object.__setattr__(self, "psi", psi)
+        object.__setattr__(self, "Theta", thetas)
+
+    @property
+    def size(self) -> int:
+        return int(self.psi.size1())
+
+    @property
+    def order(self) -> int:
+        """r, the relative degree."""
+        return len(self.Theta)
+
+    @property
+    def wish(self) -> str:
+        terms = (f"T{k} {derived('psi', k)}" for k, T in enumerate(self.Theta) if not T.is_zero())
+        return f"{derived('psi', self.order)} = {' + '.join(terms)}"
+
+    @property
+    def thetas(self) -> tuple[Any, ...]:
+        return tuple(self.Theta)
+
+
+def companion(thetas: Sequence[Any]) -> Any:
+    """[[0, I, 0], [0, 0, I], [T0, T1, T2]]: its eigenvalues are those of psi''' = T0 psi + T1 psi' + T2 psi''."""
+    m, order = thetas[0].size1(), len(thetas)
+    rows = [[ca.SX.eye(m) if j == i + 1 else ca.SX(m, m) for j in range(order)] for i in range(order - 1)]
+    return ca.vertcat(*(ca.horzcat(*row) for row in (*rows, thetas)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,14 +269,26 @@ class ControlsInvolved:
         return "phi' = 0" if self.Theta.is_zero() else "phi' = Theta phi"
 
     @property
-    def decay(self) -> Any:
-        return self.Theta
+    def thetas(self) -> tuple[Any, ...]:
+        return (self.Theta,)
 
 
-Constraint = Nonholonomic | Holonomic | ControlsInvolved
+Constraint = Nonholonomic | Holonomic | Output | ControlsInvolved
 """What all of them tell besides their parts. word, symbol: what they and their expression are called. wish: what is
-asked of it, a formula. order, decay: the expression and its time derivatives below that order make a state x, for which
-x' = decay x is prescribed."""
+asked of it, a formula. order: of the derivative that is prescribed; thetas: what multiplies the expression and its
+derivatives below that one."""
+
+CONSTRAINTS = (Nonholonomic, Holonomic, Output, ControlsInvolved)
+
+
+def decay_of(constraint: Constraint) -> Any:
+    """The matrix of x' = decay x, x being the expression and its time derivatives below its order."""
+    return companion(constraint.thetas)
+
+
+def is_holonomic(constraint: Constraint, u: Any) -> bool:
+    """Whether its second derivative is prescribed, of an expression without u: that alone needs no u'."""
+    return constraint.order == 2 and not ca.depends_on(expression_of(constraint), u)
 
 
 def expression_of(constraint: Constraint) -> Any:
@@ -219,4 +300,6 @@ def theta_parts(constraint: Constraint) -> dict[str, Any]:
     """The Theta matrices of a constraint by name."""
     if isinstance(constraint, Holonomic):
         return {"Theta1": constraint.Theta1, "Theta2": constraint.Theta2}
+    if isinstance(constraint, Output):
+        return {f"T{k}": theta for k, theta in enumerate(constraint.Theta)}
     return {"Theta": constraint.Theta}

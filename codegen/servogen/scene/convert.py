@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
+from servogen.scene.calls import without_calls
 
 MX_REMEDY = "make the symbols with ca.SX.sym, or call f.expand() of a ca.Function f with SX symbols"
 
@@ -33,7 +34,7 @@ def to_sx(value: Any, what: str) -> Any:
     for element in elements:
         if element.is_constant() and not np.isfinite(float(element)):
             raise SceneError(f"{what} has an entry {float(element)}; give finite numbers")
-    return sx
+    return without_calls(sx, what)
 
 
 def _holds_sx(value: Any) -> bool:

@@ -4,7 +4,7 @@ import casadi as ca
 
 from servogen.errors import SceneError
 from servogen.ir.ops import operations
-from servogen.scene.constraints import ControlsInvolved, Holonomic, check_hurwitz, companion, theta_parts
+from servogen.scene.constraints import ControlsInvolved, check_hurwitz, decay_of, theta_parts
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import chains
 
@@ -27,8 +27,8 @@ def review(scene: Scene) -> tuple[str, ...]:
 
 
 def _rows_beyond_controls(scene: Scene) -> list[str]:
-    if scene.rows <= scene.controls or scene.kind == "ideal":
-        return []
+    if scene.rows <= scene.controls or scene.kind == "ideal" or len(scene.levels) > 1:
+        return []  # of priorities, that is what they are for
     names = ", ".join(repr(c.name) for c in scene.constraints)
     return [
         f"{scene.rows} rows of constraints ({names}) for {scene.controls} controls can never be independent; "
@@ -45,8 +45,7 @@ def _theta_at_defaults(scene: Scene) -> list[str]:
         parts = theta_parts(c)
         if all(theta.is_constant() for theta in parts.values()):
             continue
-        matrix = companion(**parts) if isinstance(c, Holonomic) else parts["Theta"]
-        value = ca.Function("theta", symbols, [matrix])(*defaults)
+        value = ca.Function("theta", symbols, [decay_of(c)])(*defaults)
         if isinstance(c, ControlsInvolved) and value.is_zero():
             continue
         try:

@@ -11,11 +11,12 @@ from servogen.errors import SceneError
 from servogen.ir.ops import constants, unsupported_operations
 from servogen.results import FloatArray
 from servogen.scene.constraints import (
+    CONSTRAINTS,
     Constraint,
     ControlsInvolved,
     Holonomic,
-    Nonholonomic,
     expression_of,
+    is_holonomic,
     theta_parts,
 )
 from servogen.scene.convert import column, matrix
@@ -35,7 +36,8 @@ Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping
 class Scene:
     """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
 
-    constraints: Nonholonomic and Holonomic ones, or ControlsInvolved ones; rows stack in the order given.
+    constraints: Nonholonomic, Holonomic and Output ones, or ControlsInvolved ones; rows stack in the order given.
+        Those of several priorities are met one level after the other, the lowest number first.
     y: the free vector of Eqs. (10) and (54): None (zero), SX of the inputs, or "input".
     weight: W, l x l, symmetric positive definite, numbers or SX of the inputs and parameters: tau minimises
         (tau - y)^T W (tau - y) among the answers, tau = y + W^-1 S^T (S W^-1 S^T)^+ (z - S y); None: the identity;
@@ -63,7 +65,7 @@ class Scene:
         if not isinstance(self.mechanism, Mechanism):
             raise SceneError(f"scene {self.name!r}: give an sg.Mechanism; got {type(self.mechanism).__name__}")
         given = self.constraints
-        if isinstance(given, Nonholonomic | Holonomic | ControlsInvolved):
+        if isinstance(given, CONSTRAINTS):
             given = (given,)
         if not isinstance(given, list | tuple):
             raise SceneError(f"scene {self.name!r}: constraints must be a list; got {type(given).__name__}")
@@ -133,6 +135,17 @@ class Scene:
         """Rows and columns of the matrix that is solved with: S or A (m x l), G of ideal control forces (n x l)."""
         rows = int(self.mechanism.u.size1()) if self.kind == "ideal" else self.rows
         return rows, self.controls
+
+    @property
+    def levels(self) -> tuple[tuple[int, ...], ...]:
+        """The rows of each priority, the most important first; one level where all constraints are alike."""
+        rows: dict[int, list[int]] = {}
+        at = 0
+        for c in self.constraints:
+            priority = 0 if isinstance(c, ControlsInvolved) else c.priority
+            rows.setdefault(priority, []).extend(range(at, at + c.size))
+            at += c.size
+        return tuple(tuple(rows[priority]) for priority in sorted(rows))
 
     def shape_of(self, function: Function) -> tuple[int, ...]:
         """The shape of what a function of the scene's twins returns."""
@@ -230,6 +243,11 @@ def _check_limits(scene: Scene) -> None:
             f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
             "leave out limits"
         )
+    if len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, "
+            "or leave out limits"
+        )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
         if isinstance(side, Side) and ca.depends_on(side.expression, scene.mechanism.tau):
@@ -257,10 +275,10 @@ def _check_kinds(scene: Scene) -> None:
     if not scene.constraints:
         raise SceneError(f"scene {scene.name!r} has no constraints; give at least one")
     for c in scene.constraints:
-        if not isinstance(c, Nonholonomic | Holonomic | ControlsInvolved):
+        if not isinstance(c, CONSTRAINTS):
             raise SceneError(
                 f"scene {scene.name!r}: {type(c).__name__} is no servo-constraint; "
-                "give sg.Nonholonomic, sg.Holonomic or sg.ControlsInvolved"
+                "give sg.Nonholonomic, sg.Holonomic, sg.Output or sg.ControlsInvolved"
             )
     involved = [c.name for c in scene.constraints if isinstance(c, ControlsInvolved)]
     if involved and len(involved) < len(scene.constraints):
@@ -268,6 +286,16 @@ def _check_kinds(scene: Scene) -> None:
         raise SceneError(
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
+        )
+    if scene.mode == "ideal" and len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
+            "leave mode at 'servo', or give all constraints one priority"
+        )
+    if scene.solver.method == "cod" and len(scene.levels) > 1:
+        raise SceneError(
+            f"scene {scene.name!r}: Solver(method='cod') and priorities: what a level can still do within those before "
+            "it is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority"
         )
     names = [c.name for c in scene.constraints]
     for name in names:
@@ -288,6 +316,12 @@ def _check_kinds(scene: Scene) -> None:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' is not supported with passive constraints "
             f"({mech.passive[0].name!r}); leave mode at 'servo'"
+        )
+    higher = [c.name for c in scene.constraints if c.order > 1 and not is_holonomic(c, mech.u)]
+    if scene.mode == "ideal" and higher:
+        raise SceneError(
+            f"scene {scene.name!r}: mode='ideal' asks for the forces of a constraint on u' itself, but the output "
+            f"{higher[0]!r} prescribes a derivative beyond it; leave mode at 'servo'"
         )
     if scene.mode == "ideal" and involved:
         raise SceneError(

@@ -28,7 +28,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Ref:
-    """Default of a set-point, and the number of its time derivatives that are inputs as well (0, 1 or 2)."""
+    """Default of a set-point, and the number of its time derivatives that are inputs as well (0, 1, 2, ...)."""
 
     default: Value
     order: int = 0
@@ -36,8 +36,8 @@ class Ref:
     text: str = ""
 
     def __post_init__(self) -> None:
-        if isinstance(self.order, bool) or self.order not in (0, 1, 2):
-            raise SceneError(f"sg.Ref(order={self.order!r}): choose 0, 1 or 2, the number of rates that are inputs")
+        if isinstance(self.order, bool) or not isinstance(self.order, int) or self.order < 0:
+            raise SceneError(f"sg.Ref(order={self.order!r}): give 0, 1, 2, ..., the number of rates that are inputs")
         _check_words(self.unit, self.text, "sg.Ref")
 
 
@@ -70,6 +70,16 @@ def _summary(kind: str, fields: Iterable[Field]) -> str:
 def _numbers(field: Field) -> str:
     numbers = ", ".join(f"{x:g}" for x in field.default)
     return numbers if field.size == 1 else f"[{numbers}]"
+
+
+def derivative_name(name: str, k: int) -> str:
+    """Of the input that is a k-th derivative: r, r_dot, r_ddot, r_d3, r_d4 and so on."""
+    return name + ("", "_dot", "_ddot")[k] if k < 3 else f"{name}_d{k}"
+
+
+def derived(symbol: str, k: int) -> str:
+    """The name of a k-th time derivative: psi, psi', psi'', psi''', psi^(4) and so on."""
+    return f"{symbol}^({k})" if k > 3 else symbol + "'" * k
 
 
 def _check_words(unit: object, text: object, what: str) -> None:
@@ -126,7 +136,7 @@ class Parameters:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A set-point r with the derivatives that are inputs: `chain` is (r,), (r, r') or (r, r', r'')."""
+    """A set-point r with the derivatives that are inputs: `chain` is (r, r', r'', ...)."""
 
     chain: tuple[Field, ...]
 
@@ -138,8 +148,8 @@ class Reference:
 class References:
     """Set-points at run time: `References(E_0=0.0, r=Ref([0.3, 0.4], order=2))`.
 
-    `ref.r` and, with order 1 or 2, `ref.r_dot` and `ref.r_ddot` are SX symbols and inputs of those names.
-    A plain reference (order 0) has rate zero.
+    `ref.r` and as many rates as its order, `ref.r_dot`, `ref.r_ddot`, `ref.r_d3`, `ref.r_d4` and so on, are SX symbols
+    and inputs of those names. A plain reference (order 0) has rate zero.
     """
 
     def __init__(self, **defaults: Value | Ref) -> None:
@@ -149,14 +159,14 @@ class References:
             ref = given if isinstance(given, Ref) else Ref(given)
             default = _default(ref.default, f"reference {name!r}")
             chain = []
-            for suffix, prime in zip(("", "_dot", "_ddot")[: ref.order + 1], ("", "'", "''"), strict=False):
-                full = name + suffix
+            for k in range(ref.order + 1):
+                full = derivative_name(name, k)
                 check_field_name(full, "reference")
                 if full in self._fields:
                     raise SceneError(f"reference {full!r} collides with another reference's derivative; rename one")
-                values = default if suffix == "" else (0.0,) * len(default)
-                unit = ref.unit if not suffix else (f"{ref.unit}/s" if suffix == "_dot" else f"{ref.unit}/s^2")
-                text = ref.text if not suffix else f"{name}{prime}"
+                values = (0.0,) * len(default) if k else default
+                unit = f"{ref.unit}/s" + (f"^{k}" if k > 1 else "") if k else ref.unit
+                text = derived(name, k) if k else ref.text
                 field = Field(full, ca.SX.sym(full, len(default)), values, unit if ref.unit else "", text)
                 self._fields[full] = field
                 chain.append(field)

@@ -31,7 +31,8 @@ class System:
     answer is its name in C, symbol the one in formulas. equation: of the answer in the paper.
     reach: the matrix none of whose rows may vanish identically, a constraint's way to the controls.
     functions: of a twin, beside pinv and control. matrix_is_given: the user wrote it.
-    tau_is_state: the answer is tau', and tau an input like q and u.
+    tau_is_state: the answer is tau', and tau an input like q and u. of_outputs: the rows are derivatives of psi, the
+    first ones that the controls reach.
     """
 
     matrix: str
@@ -44,6 +45,7 @@ class System:
     symbol: str = "tau"
     matrix_is_given: bool = False
     tau_is_state: bool = False
+    of_outputs: bool = False
 
     def with_passive(self) -> "System":
         """The same of a mechanism with passive constraints: multipliers and closure are functions, too."""
@@ -81,6 +83,7 @@ SYSTEMS: dict[Kind, System] = {
             Function("S", "psi_u Q^-1 G, shape (m, l), Eq. (8).", "ml"),
             Function("z", "-psi_u Q^-1 P - X + Theta psi, shape (m,), Eq. (9).", "m"),
         ),
+        of_outputs=True,
     ),
     "ideal": System(  # Eqs. (13)-(17)
         *("G", "R", "tau", "psi", "J", "16"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servogen.results import FloatArray
-from servogen.scene.constraints import Constraint, expression_of
+from servogen.scene.constraints import Constraint, decay_of, expression_of
 from servogen.scene.domain import draw_states
 from servogen.scene.samples import draw_samples
 from servogen.scene.scene import Scene
@@ -72,7 +72,8 @@ class Claim:
 def claim_of(
     scene: Scene, simulation: Simulation, parameters: Mapping[str, FloatArray], hold: float | None = None
 ) -> Claim:
-    """What a run of this scene is held to.
+    """What a run of this scene is held to; of priorities, the constraints of the first, and others with a tolerance of
+    their own.
 
     parameters: the controller's, by name. hold: seconds between two ticks of a sampling controller.
     """
@@ -82,12 +83,15 @@ def claim_of(
     sizes = _sizes_of_psi(scene, parameters)
     relative = np.full(scene.rows, np.nan)
     tolerance = np.empty(scene.rows)
-    given, row = simulation.tolerance, 0
+    given, row, first = simulation.tolerance, 0, scene.levels[0]
     for c in scene.constraints:
         own = slice(row, row + c.size)
         row += c.size
         if isinstance(given, Mapping) and c.name in given:
             tolerance[own] = given[c.name]
+            continue
+        if own.start not in first:  # as far as the first level allows: nothing is claimed
+            tolerance[own] = math.inf
             continue
         usual = TOLERANCE if hold is None else SAMPLED + hold * _fastest(scene, c, parameters)
         relative[own] = usual if given is None or isinstance(given, Mapping) else given
@@ -187,4 +191,4 @@ def _sizes_of_psi(scene: Scene, parameters: Mapping[str, FloatArray]) -> FloatAr
 def _fastest(scene: Scene, constraint: Constraint, parameters: Mapping[str, FloatArray]) -> float:
     """The largest magnitude of an eigenvalue of what Theta prescribes, 1/s."""
     inputs = {f.name: np.zeros(f.size) for f in scene.input_fields()} | {"tau": np.zeros(scene.controls)}
-    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, constraint.decay, inputs | dict(parameters))))))
+    return float(np.max(np.abs(np.linalg.eigvals(value_at(scene, decay_of(constraint), inputs | dict(parameters))))))

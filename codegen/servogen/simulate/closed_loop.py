@@ -191,7 +191,7 @@ class ClosedLoop:
         )
 
     def _prescribed_starts(self, plan: "_Plan", drawn: Draws) -> FloatArray:
-        """Of each run the state of the prescribed decay at its start: psi', and zeros where psi itself will stand."""
+        """Of each run the state of the prescribed decay at its start: psi's rates, and zeros where psi will be."""
         count = len(drawn.seeds)
         given = {f.name: plan.inputs[f.name] for f in self._given}
         columns = {n: np.tile(v, (count, 1)) for n, v in {**given, "tau": plan.inputs["tau"]}.items()}
@@ -203,9 +203,8 @@ class ClosedLoop:
         parts = []
         for part in prescribed(self.scene):
             parts.append(np.zeros((count, part.psi.size1())))
-            if part.psi_dot is not None:
-                function = ca.Function("rates", [s for _, s in symbols], [ca.densify(part.psi_dot)])
-                parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
+            function = ca.Function("rates", [s for _, s in symbols], [ca.densify(part.rates)])
+            parts.append(np.array(function.map(count).call(arguments)[0], dtype=float).T)
         return np.hstack(parts)
 
     def _plan(self, given: Options) -> "_Plan":

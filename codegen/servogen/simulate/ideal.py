@@ -8,19 +8,19 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 
-from servogen.derive.rates import rate
+from servogen.compiler import motion_of
 from servogen.results import FloatArray
-from servogen.scene.constraints import expression_of
+from servogen.scene.constraints import decay_of, expression_of
 from servogen.scene.scene import Scene
 from servogen.simulate.simulation import known_symbols
 
 
 @dataclass(frozen=True, eq=False)
 class Prescribed:
-    """One constraint's decay: state' = matrix state, all SX; the state is psi (phi) and, of one of order 2, psi'."""
+    """One constraint's decay: state' = matrix state, all SX; the state is psi (phi) and its rates, below its order."""
 
     psi: Any
-    psi_dot: Any | None
+    rates: Any
     matrix: Any
 
 
@@ -28,9 +28,11 @@ def prescribed(scene: Scene) -> tuple[Prescribed, ...]:
     """What is asked of each constraint."""
     found = []
     for c in scene.constraints:
-        psi = expression_of(c)
-        psi_dot = rate(scene, psi, f"constraint {c.name!r}: {c.symbol}'") if c.order == 2 else None
-        found.append(Prescribed(psi, psi_dot, c.decay))
+        values, drift = [expression_of(c)], motion_of(scene)
+        for _ in range(c.order - 1):
+            values.append(drift.rate(values[-1], f"constraint {c.name!r}: {c.symbol}'"))
+        psi, *rates = drift.filled(*values)
+        found.append(Prescribed(psi, ca.vertcat(ca.SX(0, 1), *rates), decay_of(c)))
     return tuple(found)
 
 
@@ -52,8 +54,7 @@ def ideal_decay(
         size = part.psi.size1()
         now = value_at(scene, part.psi, start).ravel() if psi is None else psi[row : row + size].astype(float)
         row += size
-        if part.psi_dot is not None:
-            now = np.concatenate([now, value_at(scene, part.psi_dot, start).ravel()])
+        now = np.concatenate([now, value_at(scene, part.rates, start).ravel()])
         forward = expm(value_at(scene, part.matrix, dict(start) | dict(parameters or {})) * step)
         states = np.empty((count, len(now)))
         for k in range(count):

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
+from servogen.mjcf.library import mujoco_module
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.scene.domain import draw_states
@@ -21,7 +22,6 @@ from servogen.simulate.board import Setup
 from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.simulation import Simulation, known_symbols
 from servogen.simulate.trajectory import Trajectory
-from servogen.tools import ToolMissing
 from servogen.twins.compiled import c_real
 
 SAME = 1e-9
@@ -149,7 +149,7 @@ class MujocoPlant:
 
 def load_plant(scene: Scene, path: Path) -> MujocoPlant:
     """The model in an MJCF or URDF file, for a scene whose q are hinge and slide joints."""
-    mujoco = _mujoco()
+    mujoco = mujoco_module()
     mech = scene.mechanism
     if mech.C is not None or mech.D is not None:
         raise SceneError(
@@ -177,17 +177,6 @@ def load_plant(scene: Scene, path: Path) -> MujocoPlant:
     joints = [model.joint(name).id for name in taken]
     places, dofs = (np.array(of)[joints].astype(int) for of in (model.jnt_qposadr, model.jnt_dofadr))
     return MujocoPlant(mujoco, model, mujoco.MjData(model), places, dofs, (*remarks, *said))
-
-
-def _mujoco() -> ModuleType:
-    try:
-        import mujoco
-    except ImportError:
-        raise ToolMissing("MuJoCo is not installed; pip install 'servogen[mujoco]'") from None
-    assert isinstance(mujoco, ModuleType)
-    # MuJoCo writes its warnings into a log in the user's folder; `MujocoPlant.failed` reads their counters instead
-    mujoco.set_mju_user_warning(lambda _: None)
-    return mujoco
 
 
 def _only_mechanics(spec: Any) -> list[str]:

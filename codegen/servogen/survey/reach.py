@@ -3,62 +3,72 @@
 Found are values that exist nowhere, and rows of S (or A) that vanish identically or can never be independent.
 """
 
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import casadi as ca
 import numpy as np
 
-from servogen.derive.formulation import Formulation
-from servogen.derive.lower import parameter_defaults
+from servogen.derive.formulation import Formulation, MassFindings
 from servogen.errors import SceneError
-from servogen.ir.evaluate import evaluate
 from servogen.ir.program import Program, only
-from servogen.ir.rounding import rounding_bounds
 from servogen.optimise.passes import optimise
 from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
-from servogen.scene.constraints import expression_of
+from servogen.scene.constraints import Constraint, expression_of
 from servogen.scene.samples import Samples
-from servogen.scene.scene import Scene
+from servogen.survey.degree import labels_of, ordinal, row_degrees, thetas_of, values_and_bounds, vanishing_rows
 
 
-def survey_reach(samples: Samples, formulation: Formulation, lowered: Program) -> tuple[str, ...]:
+def survey_reach(samples: Samples, formulation: Formulation, lowered: Program, found: MassFindings) -> tuple[str, ...]:
     """SceneError naming a constraint whose row is identically zero; a remark naming rows that are never independent.
 
-    A row is identically zero when it is within its own rounding error of zero at every state drawn. lowered: the
-    formulation's program.
+    lowered: the formulation's program. found: of Q.
     """
     scene, name = formulation.scene, formulation.scene.system.reach
-    labels = _row_labels(scene)
-    owners = [c for c in scene.constraints for _ in range(c.size)]
-    program = number_values(optimise(only(lowered, name)))
-    states = samples.examined | parameter_defaults(scene)
-    values = evaluate(program, states)[name]
-    bounds = rounding_bounds(program, states, "float64")[name].reshape(-1, *formulation[name].shape)
-    good = np.all(np.isfinite(values), axis=(1, 2)) & np.all(np.isfinite(bounds), axis=(1, 2))
-    if not np.any(good):
+    labels = [label for c in scene.constraints for label in labels_of(c)]
+    program, shape = number_values(optimise(only(lowered, name))), formulation[name].shape
+    values, bounds = values_and_bounds(samples, program, name, shape)
+    if len(values) == 0:
         raise SceneError(f"{name} is not finite at any state drawn from the domain; give a domain in which it is")
-    values, bounds = values[good], bounds[good]
-    for i, label in enumerate(labels):
-        if np.all(np.abs(values[:, i, :]) <= 2 * bounds[:, i, :]):
-            raise SceneError(
-                f"{label} does not reach the controls: its row of {name} is identically zero. "
-                + _remedy(scene, owners[i])
-            )
-    return _dependence(name, labels, values) if scene.rows <= formulation[name].size2() else ()
+    gone = np.flatnonzero(vanishing_rows(values, bounds))
+    if len(gone):
+        raise SceneError(
+            f"{labels[gone[0]]} does not reach the controls: its row of {name} is identically zero. "
+            + _remedy(samples, found, int(gone[0]))
+        )
+    return _dependence(name, labels, values) if scene.rows <= shape[1] else ()
 
 
-def _remedy(scene: Scene, constraint: Any) -> str:
+def _remedy(samples: Samples, found: MassFindings, row: int) -> str:
+    """What to do about a row, counted through all constraints."""
+    scene = samples.scene
+    constraint, row = next(_owners(scene.constraints, row))
     expression, mech = expression_of(constraint), scene.mechanism
     moving = [s for s in (mech.q, mech.u, mech.t) if s is not None]
     if not any(ca.depends_on(expression, s) for s in (*moving, mech.tau)):
         return "It depends on no state: write it as a function of q and u"
-    if constraint.order == 1 and not ca.depends_on(expression, ca.vertcat(mech.u, mech.tau)):
+    if not scene.system.of_outputs:
+        free = constraint.order == 1 and not ca.depends_on(expression, ca.vertcat(mech.u, mech.tau))
+        return "It is a function of q alone: declare it as sg.Holonomic" if free else "Constrain what does change"
+    most = mech.q.size1() + mech.u.size1()
+    degree = row_degrees(samples, found, constraint, most)[row]
+    if degree is None:
+        return "No control moves it, however often it is differentiated; constrain a quantity that the controls change"
+    if degree == 2 and not ca.depends_on(expression, mech.u):  # what a beginner does, in words without degrees
         return "It is a function of q alone: declare it as sg.Holonomic, whose second derivative the controls reach"
     return (
-        "Its relative degree is higher, or no control moves it at all; constrain a quantity that the controls change "
-        "sooner, such as its derivative"
+        f"Its relative degree is {degree}, not {constraint.order}: the controls reach its {ordinal(degree)} derivative "
+        f"first; make it an sg.Output with Theta={thetas_of(degree)}, or constrain a quantity that they change sooner"
     )
+
+
+def _owners(constraints: Sequence[Constraint], row: int) -> Iterator[tuple[Constraint, int]]:
+    """The constraint of a row, and the row's place in it."""
+    for c in constraints:
+        if row < c.size:
+            yield c, row
+            return
+        row -= c.size
 
 
 def survey_values(samples: Samples, formulation: Formulation) -> None:
@@ -70,13 +80,6 @@ def survey_values(samples: Samples, formulation: Formulation) -> None:
     for what, expression in named:
         if not np.any(np.all(np.isfinite(samples.values(expression)), axis=(1, 2))):
             raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
-
-
-def _row_labels(scene: Scene) -> list[str]:
-    labels = []
-    for c in scene.constraints:
-        labels += [f"constraint {c.name!r}" + (f", row {k}" if c.size > 1 else "") for k in range(c.size)]
-    return labels
 
 
 def _dependence(name: str, labels: list[str], values: FloatArray) -> tuple[str, ...]:

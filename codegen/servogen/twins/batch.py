@@ -19,15 +19,24 @@ from servogen.tools import c_compiler, compile_c
 STATES_FOR_A_THREAD = 500
 """Fewer are not worth a thread: they take about as long as starting one."""
 
+STATES_IN_A_BLOCK = 128
+"""Their inputs stay in the cache between being copied and being read."""
+
 # The loop knows no scene. It copies the numbers of one state from their arrays into the struct that the function reads,
 # whose members have one type and so no padding; it is compiled once in a process, for any package and either scalar.
-_LOOP = """
+_LOOP = (
+    f"""
 #include <string.h>
+
+#define BLOCK {STATES_IN_A_BLOCK}
+"""
+    + """
 
 struct span { const char *first; long stride; long bytes; };
 struct batch {
     int (*prepare)(const void *params, void *model);   /* null: one model for all states */
     void *function;
+    void *many;                                         /* the same for states of one model; null: there is none */
     long takes_dt;                                      /* 0: no; else the size of its scalar */
     double dt;
     long parameters, inputs;                            /* how many spans each */
@@ -37,23 +46,41 @@ struct batch {
     int *status;
 };
 
+typedef size_t answers(const void *model, const void *in, size_t n, void *value, void *info, int *status);
 typedef int evaluation(const void *model, const void *in, void *value);
 typedef int answer(const void *model, const void *in, void *value, void *info);
 typedef int step_double(const void *model, const void *in, double dt, void *value, void *info);
 typedef int step_float(const void *model, const void *in, float dt, void *value, void *info);
 
-static void gather(const struct span *spans, long count, long state, char *to)
+static char *gather(const struct span *spans, long count, long state, char *to)
 {
     long j;
     for (j = 0; j < count; ++j) {
-        memcpy(to, spans[j].first + state * spans[j].stride, (size_t)spans[j].bytes);
-        to += spans[j].bytes;
+        const char *from = spans[j].first + state * spans[j].stride;
+        const char *const end = from + spans[j].bytes;
+        for (; from < end; from += 4, to += 4) { /* numbers of 4 or 8 bytes, too few of them for a call of memcpy */
+            memcpy(to, from, 4);
+        }
     }
+    return to;
 }
 
 void run_batch(const struct batch *b, long first, long end, void *params, void *model, void *in)
 {
     long k;
+    if (b->many && !b->prepare) {
+        for (k = first; k < end; k += BLOCK) {
+            const long last = end - k < BLOCK ? end : k + BLOCK;
+            char *to = in;
+            long j;
+            for (j = k; j < last; ++j) {
+                to = gather(b->input, b->inputs, j, to);
+            }
+            ((answers *)b->many)(model, in, (size_t)(last - k), b->value + k * b->value_bytes,
+                                 b->info + k * b->info_bytes, b->status + k);
+        }
+        return;
+    }
     for (k = first; k < end; ++k) {
         char *value = b->value + k * b->value_bytes;
         char *info = b->info ? b->info + k * b->info_bytes : 0;
@@ -78,6 +105,7 @@ void run_batch(const struct batch *b, long first, long end, void *params, void *
     }
 }
 """
+)
 
 
 class _Span(ct.Structure):
@@ -88,6 +116,7 @@ class _Batch(ct.Structure):
     _fields_ = [
         ("prepare", ct.c_void_p),
         ("function", ct.c_void_p),
+        ("many", ct.c_void_p),
         ("takes_dt", ct.c_long),
         ("dt", ct.c_double),
         ("parameters", ct.c_long),
@@ -176,7 +205,7 @@ class Call:
     """A generated function to be called at many states.
 
     prepare: of its package. model: as prepared, a ctypes struct. parameters, inputs: the members of its structs. dt: of
-    a function that takes one.
+    a function that takes one. many: its package's function that does the same for many states, None where it has none.
     """
 
     function: Any
@@ -185,6 +214,7 @@ class Call:
     parameters: Sequence[str]
     inputs: Sequence[str]
     dt: float | None = None
+    many: Any = None
 
 
 def run(call: Call, states: States, value: FloatArray, info: Any, threads: int | None) -> IntArray:
@@ -198,6 +228,7 @@ def run(call: Call, states: States, value: FloatArray, info: Any, threads: int |
     work = _Batch(
         prepare=_address(call.prepare) if states.parameters else None,
         function=_address(call.function),
+        many=None if call.many is None else _address(call.many),
         takes_dt=0 if call.dt is None else value.itemsize,
         dt=call.dt or 0.0,
         parameters=len(parameters),
@@ -213,7 +244,8 @@ def run(call: Call, states: States, value: FloatArray, info: Any, threads: int |
 
     def part(first: int, end: int) -> None:
         model = type(call.model).from_buffer_copy(call.model)  # a thread's own, where each state has its parameters
-        room = [ct.create_string_buffer(sum(v[:1].nbytes for v in arrays) or 1) for arrays in (parameters, inputs)]
+        sizes = [sum(v[:1].nbytes for v in arrays) for arrays in (parameters, inputs)]
+        room = [ct.create_string_buffer(sizes[0] or 1), ct.create_string_buffer(sizes[1] * STATES_IN_A_BLOCK or 1)]
         _loop()(ct.byref(work), first, end, room[0], ct.byref(model), room[1])
 
     most = (os.cpu_count() or 1) if threads is None else threads

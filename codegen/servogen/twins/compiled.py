@@ -1,8 +1,10 @@
 """The generated C, compiled on this machine and called through ctypes."""
 
 import ctypes as ct
+import platform
 import struct
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, Protocol
@@ -32,6 +34,15 @@ void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, 
         {p}_solve(S + k * {ml}, z + k * {m}, y ? y + k * {l} : 0, {at}tau + k * {l}, info + k);
     }}
 }}
+"""
+_BATCH = """
+#include "{p}_batch.h"
+void {p}_solve_stack(long n, const {real} *S, const {real} *z, const {real} *y, {real} *tau, {p}_info *info)
+{{
+    {p}_solve_batch(S, z, y, (size_t)n, tau, info, NULL);
+}}
+"""
+_PINV_STACK = """
 void {p}_pinv_stack(long n, const {real} *S, {real} *S_pinv, {p}_info *info)
 {{
     long k;
@@ -57,14 +68,18 @@ class Built(Protocol):
     def core(self) -> FilePath | None: ...
 
 
-def stack_source(module: Module) -> str:
-    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's."""
+def stack_source(module: Module, batch: bool = False) -> str:
+    """C that calls a solver's functions for stacks of systems, which CompiledSolver needs beside the package's.
+
+    batch: the package has solve for many systems itself.
+    """
     real, shape = module.target.real, _shape(module)
     limits, at = "", ""
     if module.limits is not None:
         limits = f"const {real} *lower, const {real} *upper, "
         at = "lower + k * {l}, upper + k * {l}, ".format(**shape)
-    return _STACK.format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
+    solve = _BATCH if batch else _STACK
+    return (solve + _PINV_STACK).format(p=module.target.prefix, real=real, limits=limits, at=at, **shape)
 
 
 def load_package(
@@ -74,7 +89,8 @@ def load_package(
     module = package.module
     if package.scene is None:
         kind = CompiledSolver if module.limits is None else LimitedSolver
-        return kind(module, compile_library(package, compiler, flags, stack_source(module)))
+        stacks = stack_source(module, _batch_of(package).is_file())
+        return kind(module, compile_library(package, compiler, flags, stacks))
     library = compile_library(package, compiler, flags)
     return CompiledTwin(package.scene, module, library)
 
@@ -96,6 +112,10 @@ def build_library(
     if package.core is not None:
         sources.append(str(package.core / f"{package.module.target.core}.c"))
         folders.append(f"-I{package.core}")
+    native: list[str] = []
+    if _batch_of(package).is_file():
+        sources.append(str(_batch_of(package)))
+        native = ["-march=native"] if platform.machine() in ("x86_64", "AMD64") else []  # vectors as long as they come
     if extra:
         beside = folder / "extra.c"
         beside.write_text(extra)
@@ -103,8 +123,13 @@ def build_library(
     sources += [word for word in flags if word.endswith(".c")]
     chosen = [word for word in flags if not word.endswith(".c")]
     more = ["-fPIC", "-shared", *folders, *sources, "-o", str(library), "-lm"]
-    compile_c(command, [*CROSS_CHECK_FLAGS, *chosen], more, f"{package.prefix}.c")
+    compile_c(command, [*CROSS_CHECK_FLAGS, *native, *chosen], more, f"{package.prefix}.c")
     return library
+
+
+def _batch_of(package: Built) -> FilePath:
+    """The C that does control, or solve, for many states by vectors; there if the package was built with batch."""
+    return package.path / f"{package.prefix}_batch.c"
 
 
 def _shape(module: Module) -> dict[str, int]:
@@ -135,27 +160,28 @@ def _model_struct(module: Module) -> Any:
     return type("model_known", (base,), {"_fields_": [("known_info", _info_struct(module))]})
 
 
-def _members(module: Module) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Of <prefix>_info: integers, numbers, and the integers of limits behind them."""
-    if module.limits is None:
-        return INFO_INTEGERS, INFO_REALS, ()
-    return INFO_INTEGERS, (*INFO_REALS, "scale"), ("active",)
+def _members(module: Module) -> list[tuple[str, bool, int]]:
+    """Of <prefix>_info in its order: the name, whether it is an integer, and how many there are, 0 for one alone."""
+    members = [*((n, True, 0) for n in INFO_INTEGERS), *((n, False, 0) for n in INFO_REALS)]
+    if module.cascade is not None:
+        levels = len(module.cascade.levels)
+        members += [("level_residual", False, levels), ("level_rank", True, levels)]
+    if module.limits is not None:
+        members += [("scale", False, 0), ("active", True, 0)]
+    return members
 
 
 def _info_struct(module: Module) -> Any:
-    integers, numbers, behind = _members(module)
     real = c_real(module.target.scalar)
-    members = [*((n, ct.c_int) for n in integers), *((n, real) for n in numbers), *((n, ct.c_int) for n in behind)]
-    return type("info", (ct.Structure,), {"_fields_": members})
+    kinds = ((name, ct.c_int if integer else real, count) for name, integer, count in _members(module))
+    return type("info", (ct.Structure,), {"_fields_": [(n, kind * k if k else kind) for n, kind, k in kinds]})
 
 
 def _info_dtype(module: Module) -> np.dtype[Any]:
     """An array of infos, as C lays it out."""
-    integers, numbers, behind = _members(module)
     real = np.dtype(module.target.scalar)
-    return np.dtype(
-        [*((n, "i4") for n in integers), *((n, real) for n in numbers), *((n, "i4") for n in behind)], align=True
-    )
+    members = [(n, np.dtype("i4") if integer else real, (k,) if k else ()) for n, integer, k in _members(module)]
+    return np.dtype(members, align=True)
 
 
 def _fill(struct: Any, fields: tuple[StructField, ...], values: dict[str, FloatArray]) -> Any:
@@ -177,9 +203,16 @@ def _read_info(info: Any) -> Info:
     return Info(_STATUS[info.status], _PATH[info.path], info.rank, info.sweeps, info.sigma_min, info.residual)
 
 
-def _read_limited(info: Any) -> Info:
-    """The same of a package with limits."""
-    return replace(_read_info(info), scale=info.scale, active=info.active)
+def _reader(module: Module) -> Callable[[Any], Info]:
+    """What reads <prefix>_info: of a package with limits or priorities, their members too."""
+    more = [(name, count) for name, _, count in _members(module) if name not in (*INFO_INTEGERS, *INFO_REALS)]
+    if not more:
+        return _read_info
+
+    def read(info: Any) -> Info:
+        return replace(_read_info(info), **{n: getattr(info, n)[:] if k else getattr(info, n) for n, k in more})
+
+    return read
 
 
 class CompiledTwin(Twin):
@@ -191,7 +224,7 @@ class CompiledTwin(Twin):
         scalar = module.target.scalar
         self._params_type = _struct("params", module.parameters, scalar)
         self._info_type = _info_struct(module)
-        self._read_info = _read_info if module.limits is None else _read_limited
+        self._read_info = _reader(module)
         self._model = _model_struct(module)()
         self._entries = {e.name: e for e in module.entry_points}
         self._layout = struct.Struct(f"{sum(f.size for f in module.inputs)}{'d' if scalar == 'float64' else 'f'}")
@@ -294,9 +327,12 @@ class CompiledTwin(Twin):
         status = run(self._call(entry, *numbers), states, value, info, threads)
         info["status"] = status  # prepare's, where it refused a state's parameters
         info[status < 0] = _refused(info.dtype, status[status < 0])
-        members = {n: np.ascontiguousarray(info[n]) for n in info.dtype.names or ()}
+        members = {n: info[n] for n in info.dtype.names or ()}
         if "scale" not in members:
             members |= {"scale": (status >= 0).astype(self.dtype), "active": np.zeros(states.count, np.int32)}
+        if "level_rank" not in members:
+            nothing = (states.count, 0)
+            members |= {"level_rank": np.zeros(nothing, np.int32), "level_residual": np.zeros(nothing, self.dtype)}
         return Batch(value, **members)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
@@ -306,7 +342,12 @@ class CompiledTwin(Twin):
 
     def _call(self, entry: str, dt: float | None = None) -> Call:
         parameters, inputs = ([f.name for f in fields] for fields in (self._module.parameters, self._module.inputs))
-        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt)
+        many = getattr(self._library, f"{self._module.target.prefix}_control_batch") if self._by_many(entry) else None
+        return Call(self._function(entry), self._function("prepare"), self._model, parameters, inputs, dt, many)
+
+    def _by_many(self, entry: str) -> bool:
+        """Whether the package has its control function for many states, too (sg.build with batch)."""
+        return entry == "control" and hasattr(self._library, f"{self._module.target.prefix}_control_batch")
 
 
 def _refused(dtype: np.dtype[Any], status: Any) -> Any:

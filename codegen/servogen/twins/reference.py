@@ -15,7 +15,7 @@ from servogen.derive.passive import independent_rows
 from servogen.derive.servo import constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
-from servogen.scene.constraints import ControlsInvolved, Holonomic
+from servogen.scene.constraints import ControlsInvolved, Holonomic, Output
 from servogen.scene.limits import INPUTS, Side
 from servogen.scene.passive import PassiveHolonomic
 from servogen.scene.samples import EXAMINED, draw_samples
@@ -24,6 +24,7 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
 from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
+from servogen.textbook.cascade import solve_cascade
 from servogen.textbook.limits import solve_within
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
@@ -54,7 +55,7 @@ def textbook_system(scene: Scene, solve: Solve, rows: bool = False) -> tuple[Any
 
     rows: of a product J Q^-1 X, Q is solved with for the rows of J, so that its second product is a short one.
     """
-    parts = _textbook_parts(scene)
+    parts = _textbook_parts(scene, solve)
     if scene.mechanism.passive:
         solve, shift = _constrained(scene, solve)
         parts["X"] = parts["X"] + ca.mtimes(parts["J"], shift)
@@ -239,7 +240,7 @@ class ReferenceTwin(Twin):
         S = result[matrix].reshape(self.scene.system_shape)
         y = result["y"].ravel()
         if "weight" not in result:
-            tau, info = pseudo_inverse.solve(S, result[right].ravel(), y, self._policy, last)
+            tau, info = self._solved(S, result[right].ravel(), y, last)
         else:
             with np.errstate(all="ignore"):
                 tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
@@ -308,6 +309,10 @@ class ReferenceTwin(Twin):
         types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
         types |= {"scale": self.dtype, "active": np.dtype(np.int32)}
         columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
+        levels = len(self.scene.levels) if len(self.scene.levels) > 1 else 0
+        for n, kind in (("level_rank", np.dtype(np.int32)), ("level_residual", self.dtype)):
+            rows = [getattr(i, n) or [0] * levels for i in infos]
+            columns.append(np.array(rows, kind).reshape(len(rows), levels))
         return Batch(value, *columns)
 
     def _evaluate_batch(self, offered: Function, states: States, threads: int | None) -> FloatArray:
@@ -315,6 +320,15 @@ class ReferenceTwin(Twin):
         refused = np.full(shape, np.nan, self.dtype)
         rows = [self._evaluate(offered.name, given) if ok >= 0 else refused for _, ok, given in self._each(states)]
         return np.array(rows, self.dtype).reshape(states.count, *shape)
+
+    def _solved(
+        self, S: FloatArray, z: FloatArray, y: FloatArray, last: FloatArray | None = None
+    ) -> tuple[FloatArray, Info]:
+        """y + S+ (z - S y), or the same level by level."""
+        levels = self.scene.levels
+        if len(levels) > 1:
+            return solve_cascade(S, z, y, levels, self._policy, last)
+        return pseudo_inverse.solve(S, z, y, self._policy, last)
 
     def _weighted(
         self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
@@ -327,12 +341,19 @@ class ReferenceTwin(Twin):
         values = 1 / values if self.scene.weighs_by_inverse_mass else values
         root = (vectors * np.sqrt(values)) @ vectors.T
         inverse = (vectors / np.sqrt(values)) @ vectors.T
-        sigma, info = pseudo_inverse.solve(S @ inverse, z, root @ y, self._policy)
+        sigma, info = self._solved(S @ inverse, z, root @ y)
         return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
 class ReferenceServo(ReferenceTwin):
     """S = psi_u Q^-1 G and z = -psi_u Q^-1 P - X + Theta psi."""
+
+    def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
+        answer = super()._control(entry, inputs, last, *numbers)
+        levels = len(self.scene.levels)
+        if levels == 1 or answer.info.status >= 0:
+            return answer
+        return Control(last, replace(answer.info, level_rank=[0] * levels, level_residual=[0.0] * levels))
 
     @staticmethod
     def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
@@ -353,7 +374,7 @@ class ReferenceIdeal(ReferenceTwin):
 
     def __init__(self, scene: Scene, scalar: Scalar, noise: Noise) -> None:
         self._reaction = policy_for(scene.rows, scene.rows, scalar, Solver(rank=scene.solver.rank))
-        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene)[1])
+        self._dependent = dependent_columns(draw_samples(scene), constraint_rows(scene).J)
         super().__init__(scene, scalar, noise)
 
     @staticmethod
@@ -564,7 +585,7 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     """CasADi functions of what the textbook formulas are made of, every partial derivative a full Jacobian."""
     mech = scene.mechanism
     fields = [*scene.input_fields(), *scene.parameters]
-    parts = _textbook_parts(scene)
+    parts = _textbook_parts(scene, lambda right: ca.solve(mech.Q, right))
     parts["y"] = scene.y if isinstance(scene.y, ca.SX) else ca.SX.zeros(scene.controls)
     if scene.weight is not None:
         parts["weight"] = mech.Q if scene.weighs_by_inverse_mass else scene.weight
@@ -581,15 +602,15 @@ def _jacobians(scene: Scene) -> tuple[Any, dict[str, list[str]]]:
     return ca.Function("textbook", [f.symbol for f in fields], list(parts.values())), names
 
 
-def _textbook_parts(scene: Scene) -> dict[str, Any]:
+def _textbook_parts(scene: Scene, solve: Solve) -> dict[str, Any]:
     """SX of what the formulas are made of: Q, P, G, and of the constraints, row under row, psi, J, X and so on."""
     mech = scene.mechanism
-    rows = [_constraint_parts(scene, c) for c in scene.constraints]
+    rows = [_constraint_parts(scene, c, solve) for c in scene.constraints]
     parts = {name: ca.vertcat(*(row[name] for row in rows)) for name in rows[0]}
     return parts | {"Q": mech.Q, "P": mech.P, "G": mech.G}
 
 
-def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
+def _constraint_parts(scene: Scene, c: Any, solve: Solve) -> dict[str, Any]:
     if isinstance(c, ControlsInvolved):
         return {
             "psi": c.phi,
@@ -598,6 +619,17 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
             "A": ca.jacobian(c.phi, scene.mechanism.tau),
             "prescribed": ca.mtimes(c.Theta, c.phi),
             "bends": ca.vertcat(*(ca.densify(ca.hessian(row, scene.mechanism.tau)[0]) for row in ca.vertsplit(c.phi))),
+        }
+    if isinstance(c, Output):
+        rates = [c.psi]
+        for _ in range(c.order - 1):
+            through = ca.mtimes(ca.jacobian(rates[-1], scene.mechanism.u), _free_motion(scene, solve))
+            rates.append(_drift(scene, rates[-1]) + through)
+        return {
+            "psi": c.psi,
+            "J": ca.jacobian(rates[-1], scene.mechanism.u),
+            "X": _drift(scene, rates[-1]),
+            "prescribed": sum(ca.mtimes(T, value) for T, value in zip(c.Theta, rates, strict=True)),
         }
     if isinstance(c, Holonomic):
         psi_dot = _drift(scene, c.psi)
@@ -614,6 +646,14 @@ def _constraint_parts(scene: Scene, c: Any) -> dict[str, Any]:
         "X": _drift(scene, c.psi),
         "prescribed": ca.mtimes(c.Theta, c.psi),
     }
+
+
+def _free_motion(scene: Scene, solve: Solve) -> Any:
+    """u' at tau = 0: no derivative of an output below its degree knows of tau."""
+    if not scene.mechanism.passive:
+        return solve(scene.mechanism.P)
+    held, shift = _constrained(scene, solve)
+    return held(scene.mechanism.P) + shift
 
 
 def _passive_parts(scene: Scene) -> dict[str, Any]:

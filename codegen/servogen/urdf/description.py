@@ -42,7 +42,7 @@ class Joint:
     """A joint: the child link's frame at zero has `rotation` and `origin` (m) in the parent link's; `axis` is unit.
 
     lower, upper (rad, m), velocity (rad/s, m/s), effort (N m, N): infinite where there is none. damping: N m s/rad,
-    N s/m. friction: N m, N.
+    N s/m. friction: N m, N. armature: kg m^2, kg. stiffness: N m/rad, N/m, of a spring at ease at `rest`, rad, m.
     """
 
     name: str
@@ -59,6 +59,9 @@ class Joint:
     effort: float = math.inf
     damping: float = 0.0
     friction: float = 0.0
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
 
 
 @dataclass(frozen=True)

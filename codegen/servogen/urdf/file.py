@@ -7,7 +7,7 @@ from servogen.urdf.markup import Element, parse
 
 _OTHERS = {
     "sdf": "it is SDF, Gazebo's format; give the URDF it was made from",
-    "mujoco": "it is MJCF, MuJoCo's format; give the URDF it was made from",
+    "mujoco": "it is MJCF, MuJoCo's format; load it with sg.mjcf.load",
     "html": "it is a web page; download the raw file",
     "COLLADA": "it is a mesh; give the URDF that names it",
 }

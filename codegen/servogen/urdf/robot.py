@@ -16,7 +16,7 @@ from servogen.scene.passive import PassiveHolonomic
 from servogen.urdf import dynamics, placement
 from servogen.urdf.base import FLOATING_Q, FLOATING_TAU, FLOATING_U, fixed_base, floating_base, rate_map
 from servogen.urdf.limits import JointLimits
-from servogen.urdf.motion import Motion, Motions, link, motions
+from servogen.urdf.motion import Link, Motion, Motions, link, motions
 from servogen.urdf.payload import Payload
 from servogen.urdf.regroup import regroup
 from servogen.urdf.skeleton import skeleton
@@ -25,30 +25,37 @@ from servogen.urdf.vectors import NOWHERE, Mat, Vec, column, cross, plus, times
 
 FRICTION_WIDTH = 0.01
 """rad/s or m/s: friction="tanh" is friction tanh(rate / width), within 1 % of itself from 2.7 widths on."""
+_ROUNDING = 1e-12
+"""m or sine: frames that no joint can bring nearer are together where they are not farther apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
     """What resists each moving body's joint, by body from 1 on: numbers or SX; none where it is 0.
 
-    damping: N m s/rad or N s/m. friction: N m or N. armature: kg m^2 or kg, of what turns with the joint.
+    damping: N m s/rad or N s/m. friction: N m or N. armature: kg m^2 or kg, of what turns with the joint. stiffness:
+    N m/rad or N/m, of a spring at ease at `rest`, rad or m.
     """
 
     damping: Sequence[Any]
     friction: Sequence[Any]
     armature: Sequence[Any]
+    stiffness: Sequence[Any]
+    rest: Sequence[Any]
 
-    def force(self, rates: Sequence[Any]) -> list[Any]:
-        """Of damping and friction against the joints' rates."""
+    def force(self, links: Sequence[Link]) -> list[Any]:
+        """Of damping and friction against the joints' rates, and of springs against their places."""
         found = []
-        for d, f, rate in zip(self.damping, self.friction, rates, strict=True):
-            force = 0.0 if _is_zero(d) else d * rate
-            found.append(force if _is_zero(f) else force + f * ca.tanh(rate / FRICTION_WIDTH))
+        for k, at in enumerate(links):
+            d, f, s = self.damping[k], self.friction[k], self.stiffness[k]
+            force = 0.0 if _is_zero(d) else d * at.u
+            force = force if _is_zero(f) else force + f * ca.tanh(at.u / FRICTION_WIDTH)
+            found.append(force if _is_zero(s) else force + s * (at.q - self.rest[k]))
         return found
 
 
 class Robot:
-    """A tree of rigid bodies from a URDF file; every result is SX of `q` and `u`. Frames are named by links.
+    """A tree of rigid bodies from a file; every result is SX of `q` and `u`. Frames are named by links.
 
     q: n joint coordinates (rad, m), after position (m) and unit quaternion (w, x, y, z) of a floating base.
     u: n joint rates, after linear and angular velocity of a floating base in its own axes. tau: n joint efforts; of a
@@ -139,7 +146,7 @@ class Robot:
         if what == "pose":
             B = ca.mtimes(self.rotation(frame_a), self.rotation(frame_b).T)
             rows.append(ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2)
-        entries = [e for e in ca.vertcat(*rows).elements() if not e.is_zero()]
+        entries = [e for e in ca.vertcat(*rows).elements() if not (e.is_constant() and abs(float(e)) <= _ROUNDING)]
         apart = self._frame(frame_a).body != self._frame(frame_b).body
         if not (entries and apart) or any(e.is_constant() for e in entries):
             told = "no joint can bring them together" if apart else "no joint moves one from the other"
@@ -151,10 +158,21 @@ class Robot:
             name = f"_{name}" if name[0].isdigit() else name
         if any(c.name == name for c in self._closures):
             raise SceneError(f"close: frames {frame_a!r} and {frame_b!r}: a closure is named {name!r}; give a name")
-        constraint = PassiveHolonomic(name, ca.vertcat(*entries), stabilise)
+        return self.hold(PassiveHolonomic(name, ca.vertcat(*entries), stabilise))
+
+    def hold(self, constraint: PassiveHolonomic) -> PassiveHolonomic:
+        """Adds a passive constraint of `q`, which `mechanism` has from then on; one taken before does not have it."""
         self._closures.append(constraint)
         self.__dict__.pop("mechanism", None)
         return constraint
+
+    def place(self, joint: str) -> Any:
+        """The joint's coordinate, rad or m, from the name it has in the file; 0 where it is locked. Of one that mimics
+        another, SX of that one's."""
+        for body, at in zip(self._tree.bodies[1:], self._links, strict=True):
+            if body.joint == joint:
+                return at.q
+        return ca.SX(0)
 
     def posture(self, damping: Any = 0.0, stiffness: Any = 0.0, centre: Any = None) -> Any:
         """The joint efforts that by themselves would give u' = -damping u - stiffness (q - centre): a scene's `y`.
@@ -249,7 +267,7 @@ class Robot:
     def _forces(self, motion: Motions) -> Any:
         bodies = [dynamics.alone(body.inertia, self._loads.get(k)) for k, body in enumerate(self._tree.bodies)]
         f, n, joint = dynamics.forces(self._links, motion.of, bodies, self._regrouped.rotors)
-        resistance = self._resisting.force([link.u for link in self._links])
+        resistance = self._resisting.force(self._links)
         joint = [own if _is_zero(against) else own + against for own, against in zip(joint, resistance, strict=True)]
         for k, armature in enumerate(self._resisting.armature):
             if not _is_zero(armature) and not _is_zero(motion.joints[k]):

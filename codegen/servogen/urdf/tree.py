@@ -171,5 +171,5 @@ def _moving(description: Description, joints: Sequence[str] | None, floating: bo
 def _remedy(joint: Joint) -> str:
     return (
         "only the base can float: load the robot with base='floating', and let this joint be the only one of a root "
-        f"without <inertial>, or make {joint.child!r} the root; or lock the joint by leaving it out of joints=[...]"
+        f"without inertia, or make {joint.child!r} the root; or lock the joint by leaving it out of joints=[...]"
     )

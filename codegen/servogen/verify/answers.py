@@ -4,23 +4,24 @@ One function a step, in ANSWERS. Tolerances are first-order: what the errors of 
 the rounding of its own arithmetic; a solve may err by BAR eps kappa (|tau| + |y|) beyond the former.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import flint
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
-from servogen.ir.evaluate import DIGITS
+from servogen.exact_levels import lexicographic
+from servogen.ir.balls import ZERO, Ball, all_finite, balls, working
 from servogen.ir.numbers import as_fraction
-from servogen.law.steps import STATE, Advance, Apply, Limit, Multiply, React, Solve, Step
+from servogen.law.steps import STATE, Advance, Apply, Cascade, Limit, Multiply, React, Solve, Step
 from servogen.results import FloatArray, Info, Status
-from servogen.singular import pseudo_solution
+from servogen.singular import pseudo_cascade, pseudo_solution
 from servogen.textbook import pseudo_inverse
+from servogen.textbook.cascade import solve_cascade
 from servogen.textbook.policy import Policy
-from servogen.verify.exact_steps import admissible, sparse_product, transposed_product
+from servogen.verify.exact_steps import admissible, column, rational, sparse_product, transposed_product
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS
 
 BAR = 8.0
@@ -28,7 +29,7 @@ BAR = 8.0
 
 _TRUSTED = 0.05  # relative error of S beyond which first-order propagation proves nothing
 
-Exact = list[Any]  # mpf values, row by row
+Exact = list[Ball]  # row by row
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class Surroundings:
 
 def unknown(size: int, status: int = ANY_ANSWER, rank: int = ANY_RANK) -> Answer:
     """An answer of which nothing but perhaps the status is known."""
-    return Answer([mp.mpf(0)] * size, np.inf, status, rank)
+    return Answer([ZERO] * size, np.inf, status, rank)
 
 
 def worse(first: int, second: int) -> int:
@@ -95,11 +96,68 @@ def _solve(step: Solve | Apply, at: Surroundings) -> Answer:
     return answer
 
 
-def _free(step: Solve | Apply, at: Surroundings) -> str | FloatArray | None:
+def _free(step: Solve | Cascade | Apply, at: Surroundings) -> str | FloatArray | None:
     """y as solved() takes it."""
     if step.free.startswith(STATE):
         return np.asarray(at.inputs[step.free.removeprefix(STATE)])
     return step.free or None
+
+
+def _cascade(step: Cascade, at: Surroundings) -> Answer:
+    """Level by level, of the scalar's own system: exact where the ranks are those of exact arithmetic, else by the SVD
+    at 50 digits with the ranks that the textbook finds.
+
+    Levels multiply what errors do: a level's directions err by those before it, over how much of its rows they leave.
+    """
+    solver, p, free = at.policies[step.solver], at.point, _free(step, at)
+    m, l = solver.m, solver.l
+    S, z = p.rounded[step.matrix].reshape(m, l).astype(float), p.rounded[step.right].astype(float)
+    y = np.zeros(l) if free is None else p.rounded[free] if isinstance(free, str) else free
+    y = np.asarray(y, dtype=float)
+    found, info = solve_cascade(S, z, y, step.levels, solver)
+    if info.status < 0:
+        return unknown(l, info.status, 0)
+    counted = pseudo_inverse.counted_rows(S, solver)
+    best = lexicographic(exact.rational(counted), exact.rational(z), exact.rational(y), step.levels)
+    if list(best.ranks) == info.level_rank and info.status != Status.REGULARISED:
+        tau, found = column(best.x), exact.nearest(best.x)[:, 0]
+    else:
+        digits = pseudo_cascade(counted, z, y, step.levels, info.level_rank, solver.damping)
+        tau, found = balls(map(as_fraction, digits)), np.array([float(v) for v in digits])
+    length = np.where(np.linalg.norm(S, axis=1) > 0, np.linalg.norm(S, axis=1), 1.0)
+    S_error = float(np.max(np.linalg.norm(p.bounds[step.matrix].reshape(m, l), axis=1) / length))
+    z_error = float(np.max(p.bounds[step.right].ravel() / length))
+    y_error = norm(p.bounds[free]) if isinstance(free, str) else 0.0
+    amplified = amplification(counted, step.levels, info.level_rank)
+    reach, missed = norm(found) + norm(y) + norm(z / length), float(np.max(np.abs(z - S @ found) / length))
+    with np.errstate(all="ignore"):
+        each = BAR * solver.epsilon + 2 * S_error
+        tolerance = amplified * (each * (reach + amplified * missed) + z_error + 2 * y_error)
+    if not (np.isfinite(tolerance) and S_error * amplified < _TRUSTED):
+        return Answer(tau, np.inf, ANY_ANSWER, ANY_RANK)
+    return Answer(tau, tolerance, info.status, info.rank)
+
+
+def amplification(S: FloatArray, levels: Sequence[Sequence[int]], ranks: Sequence[int]) -> float:
+    """What priorities make of relative errors of rows: the product over the levels of |D^-1 S_k| |(D F)^+ D|.
+
+    D: the rows' lengths; F: what the levels before leave of D^-1 S_k, in the `rank` directions that it takes up. At
+    full row rank that is |D^-1 S_k| / sigma_r; below, a long row outweighs others however badly it is placed.
+    """
+    length = np.linalg.norm(S, axis=1)
+    length = np.where(length > 0, length, 1.0)
+    unit = np.asarray(S, dtype=float) / length[:, None]
+    still_open, product = np.eye(S.shape[1]), 1.0
+    for own, rank in zip(map(list, levels), ranks, strict=True):
+        if rank > 0:
+            right = np.linalg.svd(unit[own] @ still_open)[2][:rank]
+            heaviest = np.array(own)[np.argsort(-length[own], kind="stable")]
+            Q, R = np.linalg.qr(length[heaviest][:, None] * (unit[heaviest] @ right.T))
+            product *= float(
+                np.linalg.norm(unit[own], 2) * np.linalg.norm(np.linalg.solve(R, Q.T * length[heaviest]), 2)
+            )
+            still_open = still_open - right.T @ (right @ still_open)
+    return product
 
 
 def _react(step: React, at: Surroundings) -> Answer:
@@ -150,7 +208,7 @@ def _limit(step: Limit, at: Surroundings) -> Answer:
     slowed = p.rounded[step.slowed].astype(float) if step.slowed else None
     metric = p.rounded[step.metric].reshape(l, l).astype(float) if step.metric else None
     best = admissible(S, z, y, lower, upper, slowed, metric)
-    tau, x = _values(best.x), exact.nearest(best.x)[:, 0]
+    tau, x = column(best.x), exact.nearest(best.x)[:, 0]
     rows = np.linalg.norm(S, axis=1)
     free = (S / rows[:, None])[:, [place == 0 for place in best.place]]
     sigma = np.linalg.svd(free, compute_uv=False) if free.size else np.ones(1)
@@ -183,6 +241,7 @@ def _given(name: str, at: Surroundings) -> Any:
 
 ANSWERS: dict[type, Callable[[Any, Surroundings], Answer]] = {
     Solve: _solve,
+    Cascade: _cascade,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
@@ -198,10 +257,10 @@ def answer_of(step: Step, at: Surroundings) -> Answer:
 
 def advanced(step: Advance, start: FloatArray, rate: Answer, dt: float) -> tuple[Exact, float]:
     """start + dt rate, and the 2-norm of the error it comes with; where the rate is not known, the start."""
-    with mp.workdps(DIGITS):
-        values = [mp.mpf(float(x)) for x in start]
-        if not rate.known:
-            return values, np.inf
+    values = balls(start)
+    if not rate.known:
+        return values, np.inf
+    with working():
         return [a + dt * b for a, b in zip(values, rate.tau, strict=True)], dt * rate.tolerance
 
 
@@ -212,8 +271,8 @@ def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None,
     y_rounded = point.rounded[free] if isinstance(free, str) else np.zeros(l) if free is None else free
     _, info = pseudo_inverse.solve(S, z, y_rounded, solver)
     if info.status < 0:
-        return Answer([mp.mpf(0)] * l, np.inf, info.status, 0)
-    y = point.values[free] if isinstance(free, str) else [mp.mpf(float(x)) for x in y_rounded]
+        return Answer([ZERO] * l, np.inf, info.status, 0)
+    y = point.values[free] if isinstance(free, str) else balls(y_rounded)
     if info.rank == 0:
         error = norm(point.bounds[free]) if isinstance(free, str) else 0.0
         return Answer(y, error, info.status, 0)
@@ -227,7 +286,7 @@ def solved(point: Point, matrix: str, right: str, free: str | FloatArray | None,
 def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, solver: Policy) -> tuple[Exact, float]:
     """tau to 50 digits, and the 2-norm by which the code may miss it."""
     m, l = solver.m, solver.l
-    if not all(mp.isfinite(v) for name in (matrix, right) for v in point.values[name]):
+    if not all_finite(point.values[matrix], point.values[right]):
         return y, np.inf
     S = rational(point.values[matrix], m, l)
     inverse = exact.pinv_full(S)
@@ -243,7 +302,7 @@ def _full_rank(point: Point, matrix: str, right: str, y: Exact, y_error: float, 
     residual = norm(exact.nearest(rest))
     carried = (z_error + 2 * S_error * reach + S_error * residual / sigma[-1]) / sigma[-1]
     smallest = l * float(np.finfo(solver.scalar).smallest_subnormal)
-    return _values(tau), float(rounding + carried + 2 * y_error + smallest)
+    return column(tau), float(rounding + carried + 2 * y_error + smallest)
 
 
 def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info, solver: Policy) -> Answer:
@@ -257,7 +316,7 @@ def _truncated(point: Point, matrix: str, right: str, y: FloatArray, info: Info,
     size = norm(S)
     carried = kappa * residual / size if size > 0 else 0.0
     tolerance = BAR * solver.epsilon * kappa * (norm(tau) + norm(y) + carried)
-    return Answer(tau, tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
+    return Answer(balls(map(as_fraction, tau)), tolerance if np.isfinite(tolerance) else np.inf, info.status, info.rank)
 
 
 def _in_own_units(point: Point, step: React, m: int) -> Point:
@@ -267,7 +326,7 @@ def _in_own_units(point: Point, step: React, m: int) -> Point:
     shifts = {step.matrix: (unit[:, None] + unit).ravel(), step.right: unit, step.jacobian: by_row}
     values, bounds, rounded = dict(point.values), dict(point.bounds), dict(point.rounded)
     for name, shift in shifts.items():
-        values[name] = [mp.ldexp(v, int(k)) for v, k in zip(values[name], shift, strict=True)]
+        values[name] = [v * flint.arb((1, int(k))) for v, k in zip(values[name], shift, strict=True)]
         with np.errstate(over="ignore"):
             bounds[name] = np.ldexp(bounds[name].ravel(), shift)
             rounded[name] = np.ldexp(rounded[name].ravel(), shift.astype(np.int32))
@@ -279,19 +338,3 @@ def norm(values: Any) -> float:
     sizes = np.array([abs(float(v)) for v in np.ravel(values)])
     largest = float(np.max(sizes, initial=0.0))
     return largest * float(np.linalg.norm(sizes / largest)) if 0 < largest < np.inf else largest
-
-
-def rational(values: Exact, rows: int, columns: int) -> exact.Matrix:
-    """mpf values as exact rationals."""
-    return flint.fmpq_mat(rows, columns, [_fmpq(v) for v in values])
-
-
-def _fmpq(value: Any) -> Any:
-    fraction = as_fraction(value)
-    return flint.fmpq(fraction.numerator, fraction.denominator)
-
-
-def _values(column: exact.Matrix) -> Exact:
-    with mp.workdps(DIGITS):
-        entries = [column[i, 0] for i in range(column.nrows())]
-        return [mp.mpf(int(q.p)) / int(q.q) for q in entries]

@@ -1,10 +1,12 @@
 """One hash of all answers, from every compiler, level and board: python -m servogen.verify.bits.
 
-With --solvers 3x7 ..., one hash of 20,000 solves of each of these shapes instead, singular ones among them.
+With --solvers 3x7 ..., one hash of 20,000 solves of each of these shapes instead, singular ones among them. With
+--batch also by <prefix>_batch.c, in vectors of every length that this machine has.
 """
 
 import argparse
 import os
+import platform
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -28,6 +30,7 @@ class Build(NamedTuple):
     target: str
     compiler: str
     level: str
+    batch: bool = False  # many states at once
 
 
 def builds(boards: Iterable[str], levels: Sequence[str] = LEVELS) -> list[Build]:
@@ -39,6 +42,12 @@ def builds(boards: Iterable[str], levels: Sequence[str] = LEVELS) -> list[Build]
     return found
 
 
+def batch_builds() -> list[Build]:
+    """gcc and clang on this machine, with the vectors of every x86-64 and the longest of this one; else its own."""
+    levels = ("-O1", "-O3;-march=native") if platform.machine() in ("x86_64", "AMD64") else ("-O1", "-O3")
+    return [Build("host", compiler, level, True) for compiler in ("gcc", "clang") for level in levels]
+
+
 def hashes(
     scenes: Sequence[Scene], where: Sequence[Build], vectors: int, math: Math = "own", jobs: int = 1
 ) -> dict[str, dict[Build, str]]:
@@ -46,16 +55,19 @@ def hashes(
     found: dict[str, dict[Build, str]] = {}
     with tempfile.TemporaryDirectory(prefix="servogen-bits-") as name:
         folder = Path(name)
-        packages = [build(s, folder / f"{s.name}-{x}", x, math=math) for s in scenes for x in EPSILON]
-        headers = {
-            p.prefix: campaign_header(p.scene, p.prefix, p.module.target.scalar, p.manifest)
-            for p in packages
-            if p.scene is not None
+        made = {
+            many: [build(s, folder / f"{s.name}-{x}-{many}", x, math=math, batch=many) for s in scenes for x in EPSILON]
+            for many in {one.batch for one in where}
         }
         for number, one in enumerate(where):
+            packages = made[one.batch]
             for result in run_campaign(
                 packages,
-                headers,
+                {
+                    p.prefix: campaign_header(p.scene, p.prefix, p.module.target.scalar, p.manifest)
+                    for p in packages
+                    if p.scene is not None
+                },
                 target=one.target,
                 compiler=one.compiler,
                 optimisation=one.level,
@@ -74,14 +86,18 @@ def solver_hashes(
     found: dict[str, dict[Build, str]] = {}
     with tempfile.TemporaryDirectory(prefix="servogen-bits-") as name:
         folder = Path(name)
-        packages = []
-        for m, l in shapes:
-            for x in EPSILON:
-                prefix = f"pinv_{m}x{l}_{x}"
-                packages.append(build_solver(m, l, folder / prefix, scalar=x, prefix=prefix).path)
+        made: dict[bool, list[Path]] = {many: [] for many in {one.batch for one in where}}
+        for many, paths in made.items():
+            for m, l in shapes:
+                for x in EPSILON:
+                    prefix = f"pinv_{m}x{l}_{x}"
+                    built = build_solver(m, l, folder / f"{prefix}-{many}", scalar=x, prefix=prefix, batch=many)
+                    paths.append(built.path)
         for number, one in enumerate(where):
             options: dict[str, Any] = {"target": one.target, "compiler": one.compiler, "optimisation": one.level}
-            printed = hash_solvers(packages, systems, build_dir=folder / f"build{number}", timeout=3600, **options)
+            printed = hash_solvers(
+                made[one.batch], systems, build_dir=folder / f"build{number}", timeout=3600, **options
+            )
             for prefix, value in printed.items():
                 found.setdefault(prefix, {})[one] = value
     return found
@@ -96,8 +112,9 @@ def main() -> int:
     parser.add_argument("--math", choices=["own", "libm"], default="own")
     parser.add_argument("--solvers", nargs="*", metavar="MxL", help="shapes of bare solvers, instead of scenes")
     parser.add_argument("--systems", type=int, default=SYSTEMS, help="solves of each of --solvers")
+    parser.add_argument("--batch", action="store_true", help="also many states at once")
     given = parser.parse_args()
-    where = builds(given.boards)
+    where = builds(given.boards) + (batch_builds() if given.batch else [])
     good = True
     each: Iterable[dict[str, dict[Build, str]]]
     if given.solvers:
@@ -115,7 +132,7 @@ def main() -> int:
             print(f"{prefix}: {text} from {len(by_build)} builds", flush=True)
             if not same:
                 for one, value in by_build.items():
-                    print(f"    {one.target} {one.compiler} {one.level}: {value}")
+                    print(f"    {one.target} {one.compiler} {one.level}{' batch' if one.batch else ''}: {value}")
     return 0 if good else 1
 
 

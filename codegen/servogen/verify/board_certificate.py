@@ -153,10 +153,12 @@ def _certificate(scene: Scene, package: Package, target: str, result: HarnessRes
 
 def _machine(package: Package, result: HarnessResult, compiled: objects.Compiled) -> tuple[Machine | None, list[str]]:
     """The image's code with the limits of the package's loops, or why there is none."""
-    most = max((min(s.m, s.l) for s in package.module.solvers.values()), default=1)
+    solvers = package.module.solvers.values()
+    most = max((min(s.m, s.l) for s in solvers), default=1)
+    sizes = {"rank": most, "steps": most, "rows": max((s.m for s in solvers), default=1), "spanned": most}
     source = package.path / f"{package.prefix}.c"
     try:
-        loops = loops_of(source.read_text(), {"rank": most, "steps": most})
+        loops = loops_of(source.read_text(), sizes)
     except LoopUnboundedError as problem:
         return None, [f"{source.name}, {problem}"]
     objdump, nm, addr2line = (objects.tool(t, compiled.program) for t in ("objdump", "nm", "addr2line"))

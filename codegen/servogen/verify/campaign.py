@@ -33,7 +33,8 @@ DRAWN = 16
 class EntryCampaign:
     """One entry point on one target. hash: over statuses, bits of all answers, and infos. statuses: how often each
     occurred. touched: outputs changed under a negative status. instructions: the most a call took, to within
-    CLOCK_ERROR, at `vector`; stack: the most bytes it took, at every eighth state; both 0 on the host."""
+    CLOCK_ERROR, at `vector`; total: those of all calls together; stack: the most bytes a call took, at every eighth
+    state; all three are 0 on the host."""
 
     entry: str
     vectors: int
@@ -42,6 +43,7 @@ class EntryCampaign:
     touched: int
     instructions: int
     vector: int
+    total: int
     stack: int
 
 
@@ -126,12 +128,15 @@ def _entry(words: dict[str, str]) -> EntryCampaign:
         numbers["touched"],
         numbers["worst"],
         numbers["vector"],
+        int(words["total"], 16),
         numbers["stack"],
     )
 
 
 def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping[str, Any]) -> str:
     """The C header <prefix>_campaign.h: states to start from, the domain's box, and the entry points to call.
+
+    Of a package with <prefix>_batch.c control is called for 16 states at once, each of which is in turn the last drawn.
 
     Of the entry points that evaluate, the constraints' values and the fused ones, which hold the others' code.
     """
@@ -161,6 +166,8 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
             high=[literal(float(x), scalar) for x in box.max(axis=0)],
             drawn=DRAWN if fields else 1,
             entries=entries,
+            batch=f"{prefix}_batch.c" in manifest["files"],
+            controls=scene.controls,
         )
     )
 

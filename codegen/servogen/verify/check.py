@@ -6,21 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.law.steps import STATE, SYSTEM, Apply, Evaluate, Limit, Project, Solve
+from servogen.exact_levels import lexicographic
+from servogen.ir.balls import balls
+from servogen.law.steps import STATE, SYSTEM, Apply, Cascade, Evaluate, Limit, Project, Solve
 from servogen.package import Package
-from servogen.results import OF_LIMITS, FloatArray, Status
+from servogen.results import OF_LIMITS, Control, FloatArray, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.tools import ToolMissing
 from servogen.twins.compiled import CompiledTwin
-from servogen.verify.answers import BAR, rational
+from servogen.verify.answers import BAR, amplification
 from servogen.verify.campaign import VECTORS, Campaign, campaign_header, run_campaign
-from servogen.verify.exact_steps import walk
+from servogen.verify.exact_steps import rational, walk
 from servogen.verify.harness import HarnessResult, OutputResult, default_states, require_target, run_harness
 from servogen.verify.truth import Truth, states_to_check
 from servogen.verify.vectors import ANY_STATUS, VectorSet, ulp
@@ -57,7 +58,8 @@ class OutputCheck:
 class SolveCheck:
     """tau of the generated C against the exact solution of the S, z, y it computed itself.
 
-    max_error: largest |tau - exact| / (eps kappa(S) (|tau| + |y|)); the bar is BAR.
+    max_error: largest |tau - exact| / (eps kappa(S) (|tau| + |y|)), of priorities with what their levels make of kappa;
+    the bar is BAR.
     """
 
     scene: str
@@ -344,24 +346,30 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
     steps.next(f"{case.scene.name} {case.scalar}: exact solutions, {compiler}")
     twin = case.package.load(compiler)
     assert isinstance(twin, CompiledTwin)
-    worst, solved = 0.0, 0
+    worst, solved, step = 0.0, 0, _solve_of(case)
     for k in range(case.truth.drawn):
         inputs = {name: values[k] for name, values in case.truth.inputs.items()}
         status, S, z = _system(case, twin, k, inputs)
         answer = twin.control(**inputs)
-        inexact = answer.info.status in (Status.REGULARISED, Status.RANK_DEFICIENT_INCONSISTENT, *OF_LIMITS)
-        if status < 0 or answer.info.status < 0 or answer.info.rank < min(S.shape) or inexact:
+        inexact = answer.info.status in (Status.REGULARISED, *OF_LIMITS)
+        if not isinstance(step, Cascade):
+            inexact |= answer.info.status == Status.RANK_DEFICIENT_INCONSISTENT or answer.info.rank < min(S.shape)
+        if status < 0 or answer.info.status < 0 or inexact:
             continue
-        y, behind = _free_vector(case, k), _behind(case, k)
-        worst = max(worst, _solve_error(S, z, y, answer.value, EPSILON[case.scalar], behind))
-        solved += 1
+        y, behind, epsilon = _free_vector(case, k), _behind(case, k), EPSILON[case.scalar]
+        if isinstance(step, Cascade):
+            error = _cascade_error(step, S, z, y, answer, epsilon, behind)
+        else:
+            error = _solve_error(S, z, y, answer.value, epsilon, behind)
+        if error is not None:
+            worst, solved = max(worst, error), solved + 1
     return SolveCheck(case.scene.name, case.scalar, compiler, solved, worst)
 
 
-def _solve_of(case: _Case) -> Solve | Apply:
+def _solve_of(case: _Case) -> Solve | Cascade | Apply:
     """The step of control that solves the scene's system."""
     steps = case.truth.law.routine("control").steps
-    return next(s for s in steps if isinstance(s, Solve | Apply) and s.solver == SYSTEM)
+    return next(s for s in steps if isinstance(s, Solve | Cascade | Apply) and s.solver == SYSTEM)
 
 
 def _free_vector(case: _Case, k: int) -> FloatArray:
@@ -393,11 +401,11 @@ def _behind(case: _Case, k: int) -> exact.Matrix | None:
     behind = [step for step in steps[steps.index(solve) + 1 :] if not isinstance(step, Limit | Evaluate)]
     if not behind:
         return None
-    values = {name: [mp.mpf(float(x)) for x in v] for name, v in case.truth.points[k].rounded.items()}
+    values = {name: balls(v) for name, v in case.truth.points[k].rounded.items()}
     l = case.scene.controls
     columns = []
     for unit in np.eye(l):
-        values[solve.into] = [mp.mpf(x) for x in unit]
+        values[solve.into] = balls(unit)
         walk(behind, values)
         columns.append(values[behind[-1].into])
     return rational([columns[j][i] for i in range(len(columns[0])) for j in range(l)], len(columns[0]), l)
@@ -418,6 +426,32 @@ def _solve_error(
         return 0.0
     sigma = np.linalg.svd(np.asarray(S, dtype=float), compute_uv=False)
     return error / (epsilon * float(sigma[0] / sigma[-1]) * reach)
+
+
+def _cascade_error(
+    step: Cascade,
+    S: FloatArray,
+    z: FloatArray,
+    y: FloatArray,
+    answer: Control,
+    epsilon: float,
+    behind: exact.Matrix | None,
+) -> float | None:
+    """The same of priorities, for the exact lexicographic optimum; None where the code has other ranks than it."""
+    best = lexicographic(exact.rational(S), exact.rational(z), exact.rational(y), step.levels)
+    if list(best.ranks) != answer.info.level_rank:
+        return None
+    S, x = np.asarray(S, dtype=float), exact.nearest(best.x)[:, 0]
+    length = np.where(np.linalg.norm(S, axis=1) > 0, np.linalg.norm(S, axis=1), 1.0)
+    factor = amplification(S, step.levels, best.ranks)
+    missed = float(np.max(np.abs(z - S @ x) / length))
+    reach = float(np.linalg.norm(x)) + float(np.linalg.norm(y)) + factor * missed
+    truth = best.x
+    if behind is not None:
+        truth = behind * truth
+        reach *= float(np.linalg.norm(exact.nearest(behind)))
+    error = float(np.linalg.norm(exact.difference(answer.value, truth)))
+    return error / (epsilon * factor * reach) if error else 0.0
 
 
 def _differences(case: _Case, here: HarnessResult, there: HarnessResult) -> list[Difference]:

@@ -25,8 +25,9 @@ from servogen.scalars import Scalar
 from servogen.scene.solver import Solver
 from servogen.tools import find_tool
 from servogen.twins.compiled import CROSS_CHECK_FLAGS, CompiledSolver, stack_source
-from servogen.verify.stress import stress
+from servogen.verify.stress import FAMILIES, stress
 from servogen.verify.stress.bench import SolverTwin
+from servogen.verify.stress.families import CORE
 
 TIDY = "clang-analyzer-*,bugprone-*,cert-*,misc-*,portability-*,performance-*"
 NOT_TIDY = (
@@ -115,22 +116,23 @@ def coverage(
         folder = Path(name)
         libraries: dict[Path, ctypes.CDLL] = {}
 
+        @cache
         def make(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
             # one prefix for all, so that a line breaks in the same place whatever the shape
             where = folder / f"{m}x{l}-{scalar}-{abs(hash(solver))}"
             package = build_solver(m, l, where, scalar, solver=solver, prefix="pinv")
             source = package.path / f"{package.prefix}.c"
             library = package.path / "covered.so"
-            if source not in libraries:
-                flags = [*CROSS_CHECK_FLAGS, "-O0", "--coverage", "-fPIC", "-shared"]
-                gcc = find_tool("gcc", "gcc")
-                (package.path / "stack.c").write_text(stack_source(package.module) + _DUMP)
-                subprocess.run([gcc, *flags, source, "stack.c", "-o", library, "-lm"], check=True, cwd=package.path)
-                libraries[source] = ctypes.CDLL(str(library))
+            flags = [*CROSS_CHECK_FLAGS, "-O0", "--coverage", "-fPIC", "-shared"]
+            gcc = find_tool("gcc", "gcc")
+            (package.path / "stack.c").write_text(stack_source(package.module) + _DUMP)
+            subprocess.run([gcc, *flags, source, "stack.c", "-o", library, "-lm"], check=True, cwd=package.path)
+            libraries[source] = ctypes.CDLL(str(library))
             twin: Any = CompiledSolver(package.module, libraries[source])
             return twin  # type: ignore[no-any-return]
 
-        stress(make, systems=systems * len(shapes), shapes=shapes, scalars=scalars)
+        own = [name for name, family in FAMILIES.items() if not family.long and name != CORE]
+        stress(make, systems=systems * len(shapes), shapes=shapes, scalars=scalars, families=own)
         for m, l in shapes:
             for scalar in scalars:
                 for solver in (Solver(), Solver(sigma_min="exact")):

@@ -1,71 +1,94 @@
-"""The steps of a law to 50 digits, each as its definition says: full rank, no tolerance, no status."""
+"""The steps of a law on balls of 60 digits, each as its definition says: full rank, no tolerance, no status."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import flint
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
 from servogen.exact_bounds import Optimum, best_within
-from servogen.ir.evaluate import DIGITS
-from servogen.law.steps import Apply, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
+from servogen.exact_levels import lexicographic
+from servogen.ir.balls import NAN, ZERO, Ball, all_finite, ball, balls, total, working
+from servogen.law.steps import Apply, Cascade, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
 from servogen.results import FloatArray
 
-Values = dict[str, list[Any]]
+Values = dict[str, list[Ball]]
 
 
-def _react(step: React, values: Values) -> list[Any]:
+def _react(step: React, values: Values) -> list[Ball]:
     """J^T M^-1 right, Eq. (17); NaN where the rows of J are dependent."""
     right, entries, jacobian = values[step.right], values[step.matrix], values[step.jacobian]
     m, n = len(right), len(jacobian) // len(right)
-    with mp.workdps(DIGITS):
-        if not all(mp.isfinite(x) for x in (*entries, *right, *jacobian)):
-            return [mp.nan] * n
+    if not all_finite(entries, right, jacobian):
+        return [NAN] * n
+    with working():
         try:
-            force = mp.lu_solve(mp.matrix([entries[m * i : m * (i + 1)] for i in range(m)]), mp.matrix(right))
+            force = flint.arb_mat(m, m, entries).solve(flint.arb_mat(m, 1, right))
         except ZeroDivisionError:
-            return [mp.nan] * n
-    return transposed_product(jacobian, list(force))
+            return [NAN] * n
+    return transposed_product(jacobian, force.entries())
 
 
-def transposed_product(jacobian: list[Any], force: list[Any]) -> list[Any]:
+def transposed_product(jacobian: list[Ball], force: list[Ball]) -> list[Ball]:
     """J^T force, J row by row."""
     m, n = len(force), len(jacobian) // len(force)
-    with mp.workdps(DIGITS):
-        return [mp.fsum(jacobian[n * i + c] * force[i] for i in range(m)) for c in range(n)]
+    with working():
+        return [total(jacobian[n * i + c] * force[i] for i in range(m)) for c in range(n)]
 
 
-def sparse_product(entries: list[Any], pattern: Pattern, vector: list[Any]) -> list[Any]:
+def sparse_product(entries: list[Ball], pattern: Pattern, vector: list[Ball]) -> list[Ball]:
     """N x for the nonzeros of N, placed by the pattern."""
-    with mp.workdps(DIGITS):
-        return [mp.fsum(entries[e] * vector[j] for e, j in row) for row in pattern]
+    with working():
+        return [total(entries[e] * vector[j] for e, j in row) for row in pattern]
 
 
-def _solve(step: Solve | Apply, values: Values) -> list[Any]:
+def _solve(step: Solve | Apply, values: Values) -> list[Ball]:
     l = len(values[step.matrix]) // len(values[step.right])
-    return minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [mp.mpf(0)] * l))
+    return minimum_norm(values[step.matrix], values[step.right], values.get(step.free, [ZERO] * l))
 
 
-def _multiply(step: Multiply, values: Values) -> list[Any]:
+def _cascade(step: Cascade, values: Values) -> list[Ball]:
+    """Level by level, of whatever rank, from the midpoints on without rounding."""
+    m = len(values[step.right])
+    l = len(values[step.matrix]) // m
+    free = values.get(step.free, [ZERO] * l)
+    if not all_finite(values[step.matrix], values[step.right], free):
+        return [NAN] * l
+    best = lexicographic(
+        rational(values[step.matrix], m, l), rational(values[step.right], m, 1), rational(free, l, 1), step.levels
+    )
+    return column(best.x)
+
+
+def rational(values: list[Ball], rows: int, columns: int) -> exact.Matrix:
+    """The midpoints, exactly."""
+    return flint.fmpq_mat(rows, columns, [v.mid().fmpq() for v in values])
+
+
+def column(x: exact.Matrix) -> list[Ball]:
+    """A column of rationals as balls."""
+    with working():
+        return [ball(x[i, 0]) for i in range(x.nrows())]
+
+
+def _multiply(step: Multiply, values: Values) -> list[Ball]:
     return sparse_product(values[step.entries], step.pattern, values[step.vector])
 
 
-def minimum_norm(entries: list[Any], right: list[Any], free: list[Any]) -> list[Any]:
+def minimum_norm(entries: list[Ball], right: list[Ball], free: list[Ball]) -> list[Ball]:
     """y + S+ (z - S y) for S of full row or column rank; NaN where it has neither."""
-    with mp.workdps(DIGITS):
-        m, l = len(right), len(free)
-        if not all(mp.isfinite(x) for x in (*entries, *right, *free)):
-            return [mp.nan] * l
-        S = mp.matrix([entries[i * l : (i + 1) * l] for i in range(m)])
-        y = mp.matrix(free)
-        rest = mp.matrix(right) - S * y
+    m, l = len(right), len(free)
+    if not all_finite(entries, right, free):
+        return [NAN] * l
+    with working():
+        S, y = flint.arb_mat(m, l, entries), flint.arb_mat(l, 1, free)
+        rest, T = flint.arb_mat(m, 1, right) - S * y, S.transpose()
         try:
-            move = S.T * mp.lu_solve(S * S.T, rest) if m <= l else mp.lu_solve(S.T * S, S.T * rest)
+            move = T * (S * T).solve(rest) if m <= l else (T * S).solve(T * rest)
         except ZeroDivisionError:
-            return [mp.nan] * l
-        return list(y + move)
+            return [NAN] * l
+        return (y + move).entries()  # type: ignore[no-any-return]
 
 
 _FIRST = flint.fmpq(10) ** 60
@@ -109,15 +132,15 @@ def admissible(
     return Optimum(x, best.rest, S_exact.transpose() * best.rest, best.place[:l])
 
 
-def _limit(step: Limit, values: Values) -> list[Any]:
+def _limit(step: Limit, values: Values) -> list[Ball]:
     """The start where it is admissible; else the optimum for the system and the limits rounded to double."""
     start = values[step.start]
-    if not all(mp.isfinite(x) for x in start):
+    if not all_finite(start):
         return start
     l = len(start)
     lower, upper = (np.array([float(x) for x in values[name]]) for name in (step.lower, step.upper))
     lower[list(step.no_lower)], upper[list(step.no_upper)] = -np.inf, np.inf
-    if all(a <= x <= b for a, x, b in zip(lower, start, upper, strict=True)):
+    if all(a <= x.mid() <= b for a, x, b in zip(balls(lower), start, balls(upper), strict=True)):
         return start
 
     def numbers(name: str, *shape: int) -> Any:
@@ -128,12 +151,12 @@ def _limit(step: Limit, values: Values) -> list[Any]:
     best = admissible(
         numbers(step.matrix, len(z), l), z, y, lower, upper, numbers(step.slowed, -1), numbers(step.metric, l, l)
     )
-    with mp.workdps(DIGITS):
-        return [mp.mpf(int(best.x[j, 0].p)) / int(best.x[j, 0].q) for j in range(l)]
+    return column(best.x)
 
 
-EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {
+EXACT: dict[type, Callable[[Any, Values], list[Ball]]] = {
     Solve: _solve,
+    Cascade: _cascade,
     Apply: _solve,
     React: _react,
     Multiply: _multiply,
@@ -143,7 +166,7 @@ EXACT: dict[type, Callable[[Any, Values], list[Any]]] = {
 
 
 def walk(steps: Iterable[Step], values: Values) -> None:
-    """Put what each step leaves beside the values of the quantities, all mpf; NaN where it does not exist."""
+    """Put what each step leaves beside the values of the quantities, all balls; NaN where it does not exist."""
     for step in steps:
         if not isinstance(step, Evaluate):
             values[step.into] = EXACT[type(step)](step, values)

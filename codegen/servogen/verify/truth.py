@@ -9,20 +9,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 
 from servogen import exact
 from servogen.compiler import optimised_scene, reference
 from servogen.derive.lower import MASS_PIVOT, MASS_SCALE
-from servogen.ir.evaluate import DIGITS, evaluate, evaluate_exactly
+from servogen.ir.balls import ZERO, balls, working
+from servogen.ir.evaluate import evaluate, evaluate_exactly
 from servogen.ir.rounding import rounding_bounds
 from servogen.law.law import Routine, of_the_state, shapes
 from servogen.law.steps import STATE, SYSTEM, Advance, Call, Evaluate, Project
 from servogen.plan.module import Module
 from servogen.plan.stage import cut
 from servogen.results import Control, FloatArray, Info, Status
-from servogen.scalars import EPSILON
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene, State
 from servogen.scene.solver import Solver
@@ -98,33 +97,26 @@ class Truth:
         bounds = rounding_bounds(self.program, floats, self.scalar)
         rounded = evaluate(self.program, everything, self.dtype)
         points = []
-        own = rounding_bounds(self.exact, floats, "float64")
         pairs = zip(evaluate_exactly(self.program, everything), evaluate_exactly(self.exact, everything), strict=True)
         for k, (values, unoptimised) in enumerate(pairs):
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
             status = self._status(k, at)
             refused = self.of_mass if status == Status.SINGULAR_MASS else frozenset()  # divided by what is 0
             given = {n: v for n, v in values.items() if n not in refused}
-            self._compare(k, given, unoptimised, {n: _row(v, k) for n, v in own.items()})
-            limits = {n: _row(v, k) * _SECOND_ORDER for n, v in bounds.items()}
+            self._compare(k, given, unoptimised)
+            limits: dict[str, FloatArray] = {
+                n: _row(v, k) * _SECOND_ORDER + _radii(values[n]) for n, v in bounds.items()
+            }
             points.append(Point(values, limits, at, status))
         return points
 
-    def _compare(
-        self, k: int, values: dict[str, Exact], unoptimised: dict[str, Exact], bounds: dict[str, FloatArray]
-    ) -> None:
-        """Note where optimisation changed an output by more than 50 digits of the unoptimised program may err.
-
-        bounds: the unoptimised program's error bounds in float64, from which those with 50 digits follow.
-        """
-        finer = mp.mpf(10) ** (2 - DIGITS) / mp.mpf(EPSILON["float64"])
+    def _compare(self, k: int, values: dict[str, Exact], unoptimised: dict[str, Exact]) -> None:
+        """Note where optimisation changed an output: two balls of one value have a point in common."""
         for name, entries in values.items():
-            for x, y, bound in zip(entries, unoptimised[name], bounds[name], strict=True):
-                if mp.isfinite(x) and mp.isfinite(y) and np.isfinite(bound):
-                    slack = finer * mp.mpf(float(bound)) + mp.mpf(10) ** (2 - DIGITS) * abs(x)
-                    if abs(x - y) > slack:
-                        change = f"{mp.nstr(y, 20)} became {mp.nstr(x, 20)}"
-                        self.problems.append(f"optimisation changed {name} at state {k}: {change}; report this defect")
+            for x, y in zip(entries, unoptimised[name], strict=True):
+                if x.is_finite() and y.is_finite() and not x.overlaps(y):
+                    change = f"{y.str(20, radius=False)} became {x.str(20, radius=False)}"
+                    self.problems.append(f"optimisation changed {name} at state {k}: {change}; report this defect")
 
     def _status(self, k: int, at: dict[str, FloatArray]) -> Status:
         """Status of the code that needs Q, in the order the generated code tests in."""
@@ -304,7 +296,7 @@ class Truth:
         if not np.isfinite(moved.carried[k]):
             return nothing
         inputs = {n: v[k] for n, v in self.inputs.items()}
-        start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in moved.tau[k]]
+        start = balls(moved.tau[k])
         guess = near(**(inputs | {_input(projection.step): np.array([float(v) for v in start])}))
         if guess.info.status < 0 or guess.info.rank < self.solver.m or guess.info.status == Status.REGULARISED:
             return nothing
@@ -327,8 +319,8 @@ class Truth:
         rounded = point.rounded | {step.value: -point.rounded[step.value]}
         negated = Point(values, point.bounds, rounded, point.status)
         move = solved(negated, step.matrix, step.value, None, self.policies[step.solver])
-        start = [v if isinstance(v, mp.mpf) else mp.mpf(float(v)) for v in tau]
-        with mp.workdps(DIGITS):
+        start = balls(tau)
+        with working():
             answer = [a + b for a, b in zip(start, move.tau, strict=True)]
         size = norm(start) + norm(move.tau)
         tolerance = move.tolerance + self.solver.epsilon * size + 2 * float(moved.carried[k])
@@ -349,6 +341,11 @@ def _input(step: Advance | Project) -> str:
     return step.of.removeprefix(STATE)
 
 
+def _radii(values: Exact) -> FloatArray:
+    """How far the truth itself may be off."""
+    return np.array([float(v.rad()) for v in values])
+
+
 def _row(values: FloatArray, k: int) -> FloatArray:
     """Row k; a constant quantity has one row for all."""
     return np.asarray(values[k if len(values) > 1 else 0])
@@ -359,4 +356,4 @@ def _comparable(expected: Any, tolerance: FloatArray, scalar: str) -> tuple[Any,
     largest = float(np.finfo(scalar).max)
     sizes = np.array([[abs(float(v)) for v in row] for row in expected])
     good = np.isfinite(sizes) & (sizes < largest / 4) & np.isfinite(tolerance)
-    return np.where(good, expected, 0.0 if expected.dtype != object else mp.mpf(0)), np.where(good, tolerance, np.inf)
+    return np.where(good, expected, 0.0 if expected.dtype != object else ZERO), np.where(good, tolerance, np.inf)

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import mpmath
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from servogen.ir.balls import ball, working
 from servogen.render.render import environment
 
 Scalar = Literal["float64", "float32"]
@@ -55,7 +55,7 @@ class OutputVectors:
 
     @classmethod
     def of(cls, name: str, expected: ArrayLike, tolerance: ArrayLike, scale: float, scalar: Scalar) -> "OutputVectors":
-        """From expected values of shape (N, size), floats or mpmath numbers, and a tolerance that broadcasts to it."""
+        """From expected values of shape (N, size), floats or balls, and a tolerance that broadcasts to it."""
         hi, lo = split(expected, scalar)
         tolerances = np.broadcast_to(np.asarray(tolerance, dtype=np.float64), hi.shape)
         return cls(name, hi.shape[1], hi, lo, tolerances, scale)
@@ -150,15 +150,15 @@ def _evenly(have: int, want: int) -> Integers:
 def split(expected: ArrayLike, scalar: Scalar) -> tuple[Floats, Floats]:
     """The pair (hi, lo) of the target's scalars with hi the nearest to `expected` and hi + lo nearer still.
 
-    expected: any shape, floats or mpmath numbers. NaN stays NaN; what is finite and overflows becomes infinite.
+    expected: any shape, floats or balls. NaN stays NaN; what is finite and overflows becomes infinite.
     """
     exact = np.asarray(expected)
     kind = np.dtype(scalar)
     with np.errstate(over="ignore", invalid="ignore"):
         if exact.dtype == object:
             hi = np.array([float(x) for x in exact.flat], dtype=np.float64).reshape(exact.shape).astype(kind)
-            with mpmath.workdps(60):
-                rest = [float(mpmath.mpf(x) - float(h)) for x, h in zip(exact.flat, hi.flat, strict=True)]
+            with working():
+                rest = [float(ball(x) - ball(h)) for x, h in zip(exact.flat, hi.flat, strict=True)]
             return hi, np.array(rest, dtype=np.float64).reshape(exact.shape).astype(kind)
         wide = exact.astype(np.float64)
         hi = wide.astype(kind)

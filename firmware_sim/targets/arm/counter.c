@@ -1,4 +1,8 @@
-/* Instructions by SysTick: under -icount shift=0 the emulated board executes one instruction a nanosecond. */
+/*
+ * Instructions by SysTick: under -icount shift=0 the emulated board executes one instruction a nanosecond.
+ *
+ * The clock runs on between two counts: to stop and start it takes the emulator longer than a kernel does.
+ */
 #include <stdint.h>
 
 #include "hal.h"
@@ -7,26 +11,29 @@
 #define SYST_RVR (*(volatile uint32_t *)0xE000E014u)
 #define SYST_CVR (*(volatile uint32_t *)0xE000E018u)
 
-enum { ENABLE = 1, CORE_CLOCK = 4, LARGEST = 0xffffff, WRAPPED = 0x10000 };
+enum { ENABLE = 1, CORE_CLOCK = 4, LARGEST = 0xffffff, HALF = 0x800000, WRAPPED = 0x10000 };
+
+static uint32_t begun;
 
 void hal_count_start(void)
 {
-    SYST_CSR = 0;
-    SYST_RVR = LARGEST;
-    SYST_CVR = 0;
-    SYST_CSR = ENABLE | CORE_CLOCK;
+    const uint32_t state = SYST_CSR; /* which forgets that the clock wrapped before */
+    begun = SYST_CVR;
+    if ((state & (ENABLE | CORE_CLOCK)) != (ENABLE | CORE_CLOCK) || begun < HALF) {
+        SYST_CSR = 0;
+        SYST_RVR = LARGEST;
+        SYST_CVR = 0;
+        SYST_CSR = ENABLE | CORE_CLOCK;
+        begun = SYST_CVR;
+    }
 }
 
 uint32_t hal_count_stop(void)
 {
     const uint32_t now = SYST_CVR;
-    const int wrapped = (SYST_CSR & WRAPPED) != 0;
-    SYST_CSR = 0;
-    if (wrapped) {
+    if ((SYST_CSR & WRAPPED) != 0) {
         return 0;
     }
-    if (now == 0) {
-        return 1; /* not one tick, or the counter had been loaded */
-    }
-    return (uint32_t)((uint64_t)(LARGEST - now) * 1000000000u / BOARD_CLOCK_HZ);
+    const uint32_t ticks = (begun - now) & LARGEST; /* the clock goes down, from 0 to LARGEST where it was just set */
+    return ticks == 0 ? 1 : (uint32_t)((uint64_t)ticks * 1000000000u / BOARD_CLOCK_HZ);
 }

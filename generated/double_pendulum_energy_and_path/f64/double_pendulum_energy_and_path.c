@@ -506,14 +506,14 @@ static int double_pendulum_energy_and_path_normal_factor(const double *B, double
     if (!(d_0 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0 / d_0;
+i_0 = 1.0 / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > DOUBLE_PENDULUM_ENERGY_AND_PATH_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0 / d_1;
+i_1 = 1.0 / d_1;
     n_1_0 = double_pendulum_energy_and_path_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);

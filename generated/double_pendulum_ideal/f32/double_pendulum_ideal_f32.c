@@ -419,14 +419,14 @@ static int double_pendulum_ideal_f32_normal_factor(const float *B, double_pendul
     if (!(d_0 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     d_1 = g_1_1 - v_1_0 * l_1_0;
     if (!(d_1 > DOUBLE_PENDULUM_IDEAL_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     n_1_0 = double_pendulum_ideal_f32_abs(l_1_0);
     bound = g_0_0 * i_0;
     bound += i_1 * (n_1_0 * n_1_0 * g_0_0 + g_1_1);

@@ -466,7 +466,7 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     if (!(d_0 > IIWA_POSITION_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -475,14 +475,14 @@ static int iiwa_position_f32_normal_factor(const float *B, iiwa_position_f32_nor
     if (!(d_1 > IIWA_POSITION_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     d_2 = g_2_2 - v_2_0 * l_2_0 - v_2_1 * l_2_1;
     if (!(d_2 > IIWA_POSITION_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     n_1_0 = iiwa_position_f32_abs(l_1_0);
     n_2_1 = iiwa_position_f32_abs(l_2_1);
     n_2_0 = iiwa_position_f32_abs(l_2_0) + iiwa_position_f32_abs(l_2_1) * n_1_0;

@@ -327,7 +327,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_0 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_0_0)) { /* bound exceeds g / d */
         return 0;
     }
-    i_0 = 1.0f / d_0;
+i_0 = 1.0f / d_0;
     v_1_0 = g_1_0;
     l_1_0 = v_1_0 * i_0;
     v_2_0 = g_2_0;
@@ -342,7 +342,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_1 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_1_1)) { /* bound exceeds g / d */
         return 0;
     }
-    i_1 = 1.0f / d_1;
+i_1 = 1.0f / d_1;
     v_2_1 = g_2_1 - v_2_0 * l_1_0;
     l_2_1 = v_2_1 * i_1;
     v_3_1 = g_3_1 - v_3_0 * l_1_0;
@@ -355,7 +355,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_2 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_2_2)) { /* bound exceeds g / d */
         return 0;
     }
-    i_2 = 1.0f / d_2;
+i_2 = 1.0f / d_2;
     v_3_2 = g_3_2 - v_3_0 * l_2_0 - v_3_1 * l_2_1;
     l_3_2 = v_3_2 * i_2;
     v_4_2 = g_4_2 - v_4_0 * l_2_0 - v_4_1 * l_2_1;
@@ -366,7 +366,7 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_3 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_3_3)) { /* bound exceeds g / d */
         return 0;
     }
-    i_3 = 1.0f / d_3;
+i_3 = 1.0f / d_3;
     v_4_3 = g_4_3 - v_4_0 * l_3_0 - v_4_1 * l_3_1 - v_4_2 * l_3_2;
     l_4_3 = v_4_3 * i_3;
     v_5_3 = g_5_3 - v_5_0 * l_3_0 - v_5_1 * l_3_1 - v_5_2 * l_3_2;
@@ -375,14 +375,14 @@ static int skewed_thrusters_f32_normal_factor(const float *B, skewed_thrusters_f
     if (!(d_4 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_4_4)) { /* bound exceeds g / d */
         return 0;
     }
-    i_4 = 1.0f / d_4;
+i_4 = 1.0f / d_4;
     v_5_4 = g_5_4 - v_5_0 * l_4_0 - v_5_1 * l_4_1 - v_5_2 * l_4_2 - v_5_3 * l_4_3;
     l_5_4 = v_5_4 * i_4;
     d_5 = g_5_5 - v_5_0 * l_5_0 - v_5_1 * l_5_1 - v_5_2 * l_5_2 - v_5_3 * l_5_3 - v_5_4 * l_5_4;
     if (!(d_5 > SKEWED_THRUSTERS_F32_NORMAL_FLOOR * g_5_5)) { /* bound exceeds g / d */
         return 0;
     }
-    i_5 = 1.0f / d_5;
+i_5 = 1.0f / d_5;
     n_1_0 = skewed_thrusters_f32_abs(l_1_0);
     n_2_1 = skewed_thrusters_f32_abs(l_2_1);
     n_2_0 = skewed_thrusters_f32_abs(l_2_0) + skewed_thrusters_f32_abs(l_2_1) * n_1_0;

@@ -34,7 +34,7 @@ def _library(m: int, l: int, scalar: Scalar) -> ct.CDLL:
             "ROW_AT(i)": plan.m_at("(i)"), "COLUMN_AT(j)": plan.l_at("(j)"),
         }  # fmt: skip
         target = folder / "core.so"
-        command = [str(compiler), "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", f"-I{folder}"]
+        command = [str(compiler), "-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-shared", f"-I{folder}"]
         command += [*(f"-D{key}={value}" for key, value in defines.items()), str(SOURCE), "-o", str(target), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
         return ct.CDLL(str(target))

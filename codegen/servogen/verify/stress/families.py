@@ -468,6 +468,8 @@ def _is_wide(m: int, l: int) -> bool:
 SVD, RAW, COD = Solver(method="svd"), Solver(rank="raw"), Solver(method="cod")
 GAP = Solver(rank="raw", rtol=2.0**-12)
 OF_COD = ((2, 2), (2, 3), (3, 7), (7, 3), (6, 12), (12, 12))
+CORE = "SVD core"
+"""The family that calls the SVD inside alone, and no solver."""
 
 FAMILIES: dict[str, Family] = {
     "dlatms spectra": Family(_spectra, _is_wide),
@@ -487,7 +489,7 @@ FAMILIES: dict[str, Family] = {
     "rank with a gap": Family(_gaps, lambda m, l: min(m, l) > 1, GAP, part=2500),
     "near overflow and underflow": Family(_extremes),
     "NaN and infinity": Family(_nonfinite, part=1000),
-    "SVD core": Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500, tools=("gcc",)),
+    CORE: Family(_core, lambda m, l: min(m, l) > 1, SVD, part=2500, tools=("gcc",)),
     "sweeps": Family(_sweeps, lambda m, l: min(m, l) > 1, SVD, times=10, part=5000),
     "2x2 of 0 and +-1": Family(_small_integers, lambda m, l: (m, l) == (2, 2), finite=True),
     "subnormal 2x2": Family(_subnormal, lambda m, l: (m, l) == (2, 2), finite=True),

@@ -1,0 +1,65 @@
+"""Mechanisms whose outputs are of a relative degree above two, with what is known of them in closed form."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import servogen as sg
+
+
+def thetas(degree: int, rate: float) -> list[float]:
+    """Theta with all eigenvalues at -rate."""
+    return [-float(c) for c in np.poly([-rate] * degree)[:0:-1]]
+
+
+def cars(count: int, passive: tuple[Any, ...] = ()) -> sg.Mechanism:
+    """Cars in a row, coupled by springs: masses 1, 2, 3, ... kg, 5 N/m, the force on the last one."""
+    q, u = ca.SX.sym("q", count), ca.SX.sym("u", count)
+    stretch = 5.0 * (q[1:] - q[:-1])
+    P = ca.vertcat(stretch, 0) - ca.vertcat(0, stretch)
+    Q = ca.diag(ca.DM(range(1, count + 1)))
+    G = ca.DM.eye(count)[:, -1]
+    return sg.Mechanism(q, u, ca.SX.sym("F"), Q=Q, P=P, G=G, passive=[make(q) for make in passive])
+
+
+def cars_scene(count: int, degree: int, passive: tuple[Any, ...] = ()) -> sg.Scene:
+    """The position of the first one prescribed."""
+    mech, ref = cars(count, passive), sg.References(r=sg.Ref(0.0, order=degree))
+    first = sg.Output("first", mech.q[0] - ref.r, thetas(degree, 2.0))
+    return sg.Scene(f"cars_{count}", mech, [first], references=ref)
+
+
+def flexible_joint_arm() -> sg.Scene:
+    """Two rods in a vertical plane, each driven through a spring by a rotor; its end follows a path: degree 4.
+
+    q: the angles of rods and rotors to the horizontal, so that the second rotor turns with the first rod.
+    """
+    par = sg.Parameters(m=[2.0, 1.0], l=[0.5, 0.4], B=[0.3, 0.2], k=[200.0, 150.0], g=9.81)
+    ref = sg.References(r=sg.Ref([0.5, 0.3], order=4))
+    rods, rotors = ca.SX.sym("rod", 2), ca.SX.sym("rotor", 2)
+    u, rotor_speeds = ca.SX.sym("rod_speed", 2), ca.SX.sym("rotor_speed", 2)
+    tau = ca.SX.sym("tau", 2)
+    M, h, end = rod_dynamics(rods, u, par)
+    pull = par.k * (rotors - rods)
+    mech = sg.Mechanism(
+        q=ca.vertcat(rods, rotors), u=ca.vertcat(u, rotor_speeds), tau=tau,
+        Q=ca.diagcat(M, ca.diag(par.B)), P=ca.vertcat(pull - h, -pull), G=ca.vertcat(ca.SX(2, 2), ca.SX.eye(2)),
+    )  # fmt: skip
+    output = sg.Output("end", end - ref.r, thetas(4, 6.0))
+    domain = {"q": ([-0.5, 0.8, -0.5, 0.8], [0.5, 1.8, 0.5, 1.8]), "u": (-3.0, 3.0)}
+    return sg.Scene("flexible_joint_arm", mech, [output], parameters=par, references=ref, domain=domain)
+
+
+def rod_dynamics(angle: Any, speed: Any, par: sg.Parameters) -> tuple[Any, Any, Any]:
+    """M, h and end of  M speed' + h = torques on the rods: thin ones, hinged to a wall and to one another."""
+    m, l, g = par.m, par.l, par.g
+    own = m[0] * l[0] ** 2 / 3 + m[1] * l[0] ** 2
+    coupling = m[1] * l[0] * l[1] / 2
+    apart = angle[0] - angle[1]
+    M = ca.blockcat([[own, coupling * ca.cos(apart)], [coupling * ca.cos(apart), m[1] * l[1] ** 2 / 3]])
+    h = ca.vertcat(
+        coupling * ca.sin(apart) * speed[1] ** 2 + (m[0] / 2 + m[1]) * g * l[0] * ca.cos(angle[0]),
+        -coupling * ca.sin(apart) * speed[0] ** 2 + m[1] / 2 * g * l[1] * ca.cos(angle[1]),
+    )
+    end = ca.vertcat(*(l[0] * f(angle[0]) + l[1] * f(angle[1]) for f in (ca.cos, ca.sin)))
+    return M, h, end
