@@ -556,7 +556,6 @@ typedef struct double_pendulum_energy_and_path_qr {
     double inverse[2]; /* its inverse */
     double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
-    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } double_pendulum_energy_and_path_qr;
 
@@ -632,22 +631,29 @@ static void double_pendulum_energy_and_path_qr_factor(const double *B, double_pe
     double_pendulum_energy_and_path_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int double_pendulum_energy_and_path_qr_certified(double_pendulum_energy_and_path_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double double_pendulum_energy_and_path_qr_bound(const double_pendulum_energy_and_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
+    n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_energy_and_path_qr_certified(const double_pendulum_energy_and_path_qr *f)
+{
+    double bound;
     double total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = double_pendulum_energy_and_path_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    f->bound = bound;
+    bound = double_pendulum_energy_and_path_qr_bound(f);
     return bound * total < DOUBLE_PENDULUM_ENERGY_AND_PATH_QR_LIMIT;
 }
 
@@ -973,7 +979,7 @@ static double double_pendulum_energy_and_path_qr_least(const double_pendulum_ene
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = double_pendulum_energy_and_path_qr_bound(f) * f->total;
     least = double_pendulum_energy_and_path_least(lower, inverse, 1.0);
     /* what certainly remains */
     share = DOUBLE_PENDULUM_ENERGY_AND_PATH_LEAST_SHARE

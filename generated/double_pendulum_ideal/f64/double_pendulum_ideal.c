@@ -578,21 +578,29 @@ static void double_pendulum_ideal_qr_factor(const double *B, double_pendulum_ide
     double_pendulum_ideal_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double double_pendulum_ideal_qr_bound(const double_pendulum_ideal_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
+    n_1_0 = double_pendulum_ideal_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int double_pendulum_ideal_qr_certified(const double_pendulum_ideal_qr *f)
+{
+    double bound;
     double total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = double_pendulum_ideal_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    bound = double_pendulum_ideal_qr_bound(f);
     return bound * total < DOUBLE_PENDULUM_IDEAL_QR_LIMIT;
 }
 

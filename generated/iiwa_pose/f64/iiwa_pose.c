@@ -755,9 +755,8 @@ static void iiwa_pose_qr_factor(const double *B, iiwa_pose_qr *f)
     iiwa_pose_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double iiwa_pose_qr_bound(const iiwa_pose_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -771,10 +770,6 @@ static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
     const double *const row_5 = f->at[5]->l;
     double n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     double bound;
-    double total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = iiwa_pose_abs(row_1[0]);
     n_2_1 = iiwa_pose_abs(row_2[1]);
     n_2_0 = iiwa_pose_abs(row_2[0]) + iiwa_pose_abs(row_2[1]) * n_1_0;
@@ -799,6 +794,19 @@ static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_pose_qr_certified(const iiwa_pose_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = iiwa_pose_qr_bound(f);
     return bound * total < IIWA_POSE_QR_LIMIT;
 }
 

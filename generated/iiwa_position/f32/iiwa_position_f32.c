@@ -533,7 +533,6 @@ typedef struct iiwa_position_f32_qr {
     float inverse[3]; /* its inverse */
     float cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
-    float bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } iiwa_position_f32_qr;
 
@@ -609,9 +608,8 @@ static void iiwa_position_f32_qr_factor(const float *B, iiwa_position_f32_qr *f)
     iiwa_position_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_position_f32_qr_certified(iiwa_position_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float iiwa_position_f32_qr_bound(const iiwa_position_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -619,17 +617,25 @@ static int iiwa_position_f32_qr_certified(iiwa_position_f32_qr *f)
     const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
-    float total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = iiwa_position_f32_abs(row_1[0]);
     n_2_1 = iiwa_position_f32_abs(row_2[1]);
     n_2_0 = iiwa_position_f32_abs(row_2[0]) + iiwa_position_f32_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 4.17e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.3e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_position_f32_qr_certified(const iiwa_position_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = iiwa_position_f32_qr_bound(f);
     return bound * total < IIWA_POSITION_F32_QR_LIMIT;
 }
 
@@ -1017,7 +1023,7 @@ static float iiwa_position_f32_qr_least(const iiwa_position_f32_qr *f, const flo
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = iiwa_position_f32_qr_bound(f) * f->total;
     least = iiwa_position_f32_least(lower, inverse, 1.0f);
     /* what certainly remains */
     share = IIWA_POSITION_F32_LEAST_SHARE - IIWA_POSITION_F32_LEAST_ROUNDING * iiwa_position_f32_sqrt(condition);

@@ -569,7 +569,6 @@ typedef struct iiwa_position_qr {
     double inverse[3]; /* its inverse */
     double cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
-    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } iiwa_position_qr;
 
@@ -645,9 +644,8 @@ static void iiwa_position_qr_factor(const double *B, iiwa_position_qr *f)
     iiwa_position_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int iiwa_position_qr_certified(iiwa_position_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double iiwa_position_qr_bound(const iiwa_position_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -655,17 +653,25 @@ static int iiwa_position_qr_certified(iiwa_position_qr *f)
     const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
-    double total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = iiwa_position_abs(row_1[0]);
     n_2_1 = iiwa_position_abs(row_2[1]);
     n_2_0 = iiwa_position_abs(row_2[0]) + iiwa_position_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 7.77e-15 |B|_F: sigma_min >= bound^(-1/2) - 6.2e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int iiwa_position_qr_certified(const iiwa_position_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = iiwa_position_qr_bound(f);
     return bound * total < IIWA_POSITION_QR_LIMIT;
 }
 
@@ -1052,7 +1058,7 @@ static double iiwa_position_qr_least(const iiwa_position_qr *f, const double *un
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = iiwa_position_qr_bound(f) * f->total;
     least = iiwa_position_least(lower, inverse, 1.0);
     /* what certainly remains */
     share = IIWA_POSITION_LEAST_SHARE - IIWA_POSITION_LEAST_ROUNDING * iiwa_position_sqrt(condition);

@@ -514,7 +514,6 @@ typedef struct planar_arm_3r_priorities_f32_qr {
     float left[3];    /* squared length of at[k]->p */
     float inverse[3]; /* its inverse */
     float total;   /* |B|_F^2 */
-    float bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_priorities_f32_qr;
 
@@ -584,9 +583,8 @@ static void planar_arm_3r_priorities_f32_qr_factor(const float *B, planar_arm_3r
     planar_arm_3r_priorities_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 3.58e-06 |B|_F: sigma_min >= bound^(-1/2) - 2.9e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_priorities_f32_qr_certified(planar_arm_3r_priorities_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float planar_arm_3r_priorities_f32_qr_bound(const planar_arm_3r_priorities_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -594,17 +592,25 @@ static int planar_arm_3r_priorities_f32_qr_certified(planar_arm_3r_priorities_f3
     const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
-    float total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = planar_arm_3r_priorities_f32_abs(row_1[0]);
     n_2_1 = planar_arm_3r_priorities_f32_abs(row_2[1]);
     n_2_0 = planar_arm_3r_priorities_f32_abs(row_2[0]) + planar_arm_3r_priorities_f32_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 3.58e-06 |B|_F: sigma_min >= bound^(-1/2) - 2.9e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int planar_arm_3r_priorities_f32_qr_certified(const planar_arm_3r_priorities_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = planar_arm_3r_priorities_f32_qr_bound(f);
     /* the rank is that of S with every row brought to the size of the largest: sigma_min is no smaller, the norm is
        below */
     total = PLANAR_ARM_3R_PRIORITIES_F32_NORMAL_TOTAL;
@@ -992,7 +998,7 @@ static float planar_arm_3r_priorities_f32_qr_least(const planar_arm_3r_prioritie
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = planar_arm_3r_priorities_f32_qr_bound(f) * f->total;
     least = planar_arm_3r_priorities_f32_least(lower, inverse, 1.0f);
     /* what certainly remains */
     share = PLANAR_ARM_3R_PRIORITIES_F32_LEAST_SHARE

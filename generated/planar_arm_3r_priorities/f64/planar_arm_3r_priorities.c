@@ -546,7 +546,6 @@ typedef struct planar_arm_3r_priorities_qr {
     double left[3];    /* squared length of at[k]->p */
     double inverse[3]; /* its inverse */
     double total;   /* |B|_F^2 */
-    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_priorities_qr;
 
@@ -616,9 +615,8 @@ static void planar_arm_3r_priorities_qr_factor(const double *B, planar_arm_3r_pr
     planar_arm_3r_priorities_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 6.66e-15 |B|_F: sigma_min >= bound^(-1/2) - 5.3e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_priorities_qr_certified(planar_arm_3r_priorities_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double planar_arm_3r_priorities_qr_bound(const planar_arm_3r_priorities_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -626,17 +624,25 @@ static int planar_arm_3r_priorities_qr_certified(planar_arm_3r_priorities_qr *f)
     const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
-    double total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = planar_arm_3r_priorities_abs(row_1[0]);
     n_2_1 = planar_arm_3r_priorities_abs(row_2[1]);
     n_2_0 = planar_arm_3r_priorities_abs(row_2[0]) + planar_arm_3r_priorities_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 6.66e-15 |B|_F: sigma_min >= bound^(-1/2) - 5.3e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int planar_arm_3r_priorities_qr_certified(const planar_arm_3r_priorities_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = planar_arm_3r_priorities_qr_bound(f);
     /* the rank is that of S with every row brought to the size of the largest: sigma_min is no smaller, the norm is
        below */
     total = PLANAR_ARM_3R_PRIORITIES_NORMAL_TOTAL;
@@ -1024,7 +1030,7 @@ static double planar_arm_3r_priorities_qr_least(const planar_arm_3r_priorities_q
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = planar_arm_3r_priorities_qr_bound(f) * f->total;
     least = planar_arm_3r_priorities_least(lower, inverse, 1.0);
     /* what certainly remains */
     share = PLANAR_ARM_3R_PRIORITIES_LEAST_SHARE

@@ -486,7 +486,6 @@ typedef struct planar_arm_3r_weighted_f32_qr {
     float inverse[2]; /* its inverse */
     float cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
-    float bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } planar_arm_3r_weighted_f32_qr;
 
@@ -562,22 +561,29 @@ static void planar_arm_3r_weighted_f32_qr_factor(const float *B, planar_arm_3r_w
     planar_arm_3r_weighted_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int planar_arm_3r_weighted_f32_qr_certified(planar_arm_3r_weighted_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float planar_arm_3r_weighted_f32_qr_bound(const planar_arm_3r_weighted_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
     float n_1_0;
     float bound;
+    n_1_0 = planar_arm_3r_weighted_f32_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int planar_arm_3r_weighted_f32_qr_certified(const planar_arm_3r_weighted_f32_qr *f)
+{
+    float bound;
     float total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = planar_arm_3r_weighted_f32_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
-    f->bound = bound;
+    bound = planar_arm_3r_weighted_f32_qr_bound(f);
     return bound * total < PLANAR_ARM_3R_WEIGHTED_F32_QR_LIMIT;
 }
 
@@ -895,7 +901,7 @@ static float planar_arm_3r_weighted_f32_qr_least(const planar_arm_3r_weighted_f3
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = planar_arm_3r_weighted_f32_qr_bound(f) * f->total;
     least = planar_arm_3r_weighted_f32_least(lower, inverse, 1.0f);
     /* what certainly remains */
     share = PLANAR_ARM_3R_WEIGHTED_F32_LEAST_SHARE

@@ -380,7 +380,6 @@ typedef struct quaternion_pointing_f32_qr {
     float inverse[3]; /* its inverse */
     float cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     float total;   /* |B|_F^2 */
-    float bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } quaternion_pointing_f32_qr;
 
@@ -456,9 +455,8 @@ static void quaternion_pointing_f32_qr_factor(const float *B, quaternion_pointin
     quaternion_pointing_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int quaternion_pointing_f32_qr_certified(quaternion_pointing_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float quaternion_pointing_f32_qr_bound(const quaternion_pointing_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -466,17 +464,25 @@ static int quaternion_pointing_f32_qr_certified(quaternion_pointing_f32_qr *f)
     const float *const row_2 = f->at[2]->l;
     float n_2_0, n_2_1;
     float bound;
-    float total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = quaternion_pointing_f32_abs(row_1[0]);
     n_2_1 = quaternion_pointing_f32_abs(row_2[1]);
     n_2_0 = quaternion_pointing_f32_abs(row_2[0]) + quaternion_pointing_f32_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0f);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0f);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 1.79e-06 |B|_F: sigma_min >= bound^(-1/2) - 1.4e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int quaternion_pointing_f32_qr_certified(const quaternion_pointing_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = quaternion_pointing_f32_qr_bound(f);
     return bound * total < QUATERNION_POINTING_F32_QR_LIMIT;
 }
 
@@ -869,7 +875,7 @@ static float quaternion_pointing_f32_qr_least(const quaternion_pointing_f32_qr *
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = quaternion_pointing_f32_qr_bound(f) * f->total;
     least = quaternion_pointing_f32_least(lower, inverse, 1.0f);
     /* what certainly remains */
     share = QUATERNION_POINTING_F32_LEAST_SHARE

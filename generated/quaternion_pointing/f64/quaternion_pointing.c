@@ -378,7 +378,6 @@ typedef struct quaternion_pointing_qr {
     double inverse[3]; /* its inverse */
     double cross[3]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
-    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } quaternion_pointing_qr;
 
@@ -454,9 +453,8 @@ static void quaternion_pointing_qr_factor(const double *B, quaternion_pointing_q
     quaternion_pointing_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int quaternion_pointing_qr_certified(quaternion_pointing_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double quaternion_pointing_qr_bound(const quaternion_pointing_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
@@ -464,17 +462,25 @@ static int quaternion_pointing_qr_certified(quaternion_pointing_qr *f)
     const double *const row_2 = f->at[2]->l;
     double n_2_0, n_2_1;
     double bound;
-    double total = f->total;
-    if (f->steps < 3) {
-        return 0;
-    }
     n_1_0 = quaternion_pointing_abs(row_1[0]);
     n_2_1 = quaternion_pointing_abs(row_2[1]);
     n_2_0 = quaternion_pointing_abs(row_2[0]) + quaternion_pointing_abs(row_2[1]) * n_1_0;
     bound = f->inverse[0];
     bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
     bound += f->inverse[2] * (n_2_0 * n_2_0 + n_2_1 * n_2_1 + 1.0);
-    f->bound = bound;
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 3.33e-15 |B|_F: sigma_min >= bound^(-1/2) - 2.7e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int quaternion_pointing_qr_certified(const quaternion_pointing_qr *f)
+{
+    double bound;
+    double total = f->total;
+    if (f->steps < 3) {
+        return 0;
+    }
+    bound = quaternion_pointing_qr_bound(f);
     return bound * total < QUATERNION_POINTING_QR_LIMIT;
 }
 
@@ -864,7 +870,7 @@ static double quaternion_pointing_qr_least(const quaternion_pointing_qr *f, cons
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = quaternion_pointing_qr_bound(f) * f->total;
     least = quaternion_pointing_least(lower, inverse, 1.0);
     /* what certainly remains */
     share = QUATERNION_POINTING_LEAST_SHARE - QUATERNION_POINTING_LEAST_ROUNDING * quaternion_pointing_sqrt(condition);

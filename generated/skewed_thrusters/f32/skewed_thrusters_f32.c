@@ -558,9 +558,8 @@ static void skewed_thrusters_f32_qr_factor(const float *B, skewed_thrusters_f32_
     skewed_thrusters_f32_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static float skewed_thrusters_f32_qr_bound(const skewed_thrusters_f32_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const float *const row_1 = f->at[1]->l;
@@ -574,10 +573,6 @@ static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
     const float *const row_5 = f->at[5]->l;
     float n_5_0, n_5_1, n_5_2, n_5_3, n_5_4;
     float bound;
-    float total = f->total;
-    if (f->steps < 6) {
-        return 0;
-    }
     n_1_0 = skewed_thrusters_f32_abs(row_1[0]);
     n_2_1 = skewed_thrusters_f32_abs(row_2[1]);
     n_2_0 = skewed_thrusters_f32_abs(row_2[0]) + skewed_thrusters_f32_abs(row_2[1]) * n_1_0;
@@ -606,6 +601,19 @@ static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
     bound += f->inverse[3] * (n_3_0 * n_3_0 + n_3_1 * n_3_1 + n_3_2 * n_3_2 + 1.0f);
     bound += f->inverse[4] * (n_4_0 * n_4_0 + n_4_1 * n_4_1 + n_4_2 * n_4_2 + n_4_3 * n_4_3 + 1.0f);
     bound += f->inverse[5] * (n_5_0 * n_5_0 + n_5_1 * n_5_1 + n_5_2 * n_5_2 + n_5_3 * n_5_3 + n_5_4 * n_5_4 + 1.0f);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 4.77e-06 |B|_F: sigma_min >= bound^(-1/2) - 3.8e-06 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int skewed_thrusters_f32_qr_certified(const skewed_thrusters_f32_qr *f)
+{
+    float bound;
+    float total = f->total;
+    if (f->steps < 6) {
+        return 0;
+    }
+    bound = skewed_thrusters_f32_qr_bound(f);
     return bound * total < SKEWED_THRUSTERS_F32_QR_LIMIT;
 }
 

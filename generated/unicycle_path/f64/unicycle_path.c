@@ -512,7 +512,6 @@ typedef struct unicycle_path_qr {
     double inverse[2]; /* its inverse */
     double cross[1]; /* at[i]->p at[j]->p, j < i, row by row: what rounding left of it */
     double total;   /* |B|_F^2 */
-    double bound;   /* of |B+|_F^2, once its certificate is asked for */
     int steps;          /* pivots that are not zero */
 } unicycle_path_qr;
 
@@ -588,22 +587,29 @@ static void unicycle_path_qr_factor(const double *B, unicycle_path_qr *f)
     unicycle_path_qr_reduce(f);
 }
 
-/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
-   but of the triangle found here (its backward error is that of Bjoerck 1967). */
-static int unicycle_path_qr_certified(unicycle_path_qr *f)
+/* An upper bound of |B+|_F^2: the squared Frobenius norm of the inverse of the triangle's comparison matrix. */
+static double unicycle_path_qr_bound(const unicycle_path_qr *f)
 {
     /* n_i_j: the inverse of the comparison matrix of L, in the order of the pivots */
     const double *const row_1 = f->at[1]->l;
     double n_1_0;
     double bound;
+    n_1_0 = unicycle_path_abs(row_1[0]);
+    bound = f->inverse[0];
+    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
+    return bound;
+}
+
+/* Whether sigma_min(B) is proven to exceed 2.22e-15 |B|_F: sigma_min >= bound^(-1/2) - 1.8e-15 |B|_F, bound as above
+   but of the triangle found here (its backward error is that of Bjoerck 1967). */
+static int unicycle_path_qr_certified(const unicycle_path_qr *f)
+{
+    double bound;
     double total = f->total;
     if (f->steps < 2) {
         return 0;
     }
-    n_1_0 = unicycle_path_abs(row_1[0]);
-    bound = f->inverse[0];
-    bound += f->inverse[1] * (n_1_0 * n_1_0 + 1.0);
-    f->bound = bound;
+    bound = unicycle_path_qr_bound(f);
     return bound * total < UNICYCLE_PATH_QR_LIMIT;
 }
 
@@ -916,7 +922,7 @@ static double unicycle_path_qr_least(const unicycle_path_qr *f, const double *un
             lower[k] = line->l[j] * size * unit[f->at[j]->row];
         }
     }
-    condition = f->bound * f->total;
+    condition = unicycle_path_qr_bound(f) * f->total;
     least = unicycle_path_least(lower, inverse, 1.0);
     /* what certainly remains */
     share = UNICYCLE_PATH_LEAST_SHARE - UNICYCLE_PATH_LEAST_ROUNDING * unicycle_path_sqrt(condition);
