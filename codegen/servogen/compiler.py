@@ -63,7 +63,7 @@ def build(
     sg.Remark of what is odd and yet no error.
     """
     check_scene(scene, "sg.build")
-    for what, given in (("limits", scene.sides is not None), ("priorities", len(scene.levels) > 1)):
+    for what, given in (("limits", scene.sides is not None), ("priorities or active='input'", scene.cascaded)):
         if core is not None and given:
             raise SceneError(
                 f"scene {scene.name!r}: a core (core={core!r}) with {what} is not built; leave out core for this scene"
@@ -198,7 +198,7 @@ def compile_functions(scene: Scene, quantities: Sequence[Quantity], mass: MassTr
     """Quantities of a scene -> Module: one entry point, named by them, that computes all; no controller, no solver."""
     lowered = lower_quantities(scene, quantities, mass)
     program = optimise_quantities(quantities, mass, lowered, lower_model(scene), draw_samples(scene))
-    return plan_functions(scene, quantities, program, target)
+    return plan_functions(scene, quantities, program, target, mass.joining)
 
 
 def target_for(name: str, scalar: Scalar, prefix: str | None, math: Math = "own", core: str | None = None) -> Target:

@@ -81,6 +81,8 @@ def write(
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise SceneError(f"out: {folder} is a file, or lies below one; give a folder for the package's files") from None
+    except OSError as why:
+        raise SceneError(f"out: no folder {folder} can be made: {why.strerror}; give another one") from None
     core = None
     if shared is not None:
         core = add_to_core(folder, module.target.core, module.target.prefix, module.target.scalar, shared)

@@ -25,10 +25,14 @@ class Status(IntEnum):
     NOT_CONVERGED = -3
     OVERFLOW = -4
     LIMITS_CROSSED = -5
+    DEAD_CENTRE = -6
 
 
 OF_LIMITS = (Status.LIMITED, Status.LIMITED_INCONSISTENT, Status.LIMITS_CROSSED)
 """What only a package with limits says."""
+
+OF_PASSIVE = (Status.DEAD_CENTRE,)
+"""What only a package of a mechanism with passive constraints says."""
 
 
 STATUS_MEANING: dict[Status, str] = {
@@ -42,6 +46,7 @@ STATUS_MEANING: dict[Status, str] = {
     Status.SINGULAR_MASS: "Q is singular, or not positive definite as it was over the domain; outputs untouched",
     Status.NOT_CONVERGED: "an iteration met its cap; outputs untouched",
     Status.OVERFLOW: "a result is not a finite number of this type; outputs untouched",
+    Status.DEAD_CENTRE: "the passive constraints lose rank, no motion is determined; outputs untouched",
     Status.LIMITS_CROSSED: "no number lies between a lower and an upper limit, or NaN there; outputs untouched",
 }
 

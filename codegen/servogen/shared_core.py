@@ -26,6 +26,12 @@ def add_to_core(beside: Path, core: str, prefix: str, scalar: Scalar, blocks: Ma
     if prefix == core or prefix.startswith(f"{core}_"):
         raise SceneError(f"prefix {prefix!r} collides with the names of the core {core!r}; choose another name")
     users, there = _known(folder, core)
+    other = users.get(prefix, {}).get("folder", beside.resolve().name)
+    if other != beside.resolve().name and (folder.parent / other / f"{prefix}.c").exists():
+        raise SceneError(
+            f"prefix {prefix!r}: {folder.parent / other} has it, too, and shares the core {core!r}, so that both would "
+            f"clash in one image; give one of them another prefix"
+        )
     needed: dict[str, dict[str, Block]] = {
         user: {n: replace(there[n], named=n in told["named"]) for n in told["blocks"]}
         for user, told in users.items()
@@ -37,27 +43,27 @@ def add_to_core(beside: Path, core: str, prefix: str, scalar: Scalar, blocks: Ma
                 raise SceneError(f"core {core!r}: {name} of {user} is not that of {prefix}; {_remedy(folder)}")
     needed[prefix] = dict(blocks)
     scalars: dict[str, Scalar] = {user: told["scalar"] for user, told in users.items()} | {prefix: scalar}
+    folders = {user: told["folder"] for user, told in users.items()} | {prefix: beside.resolve().name}
     files = render_core(core, dict(sorted(needed.items())), tuple(scalars.values()))
     folder.mkdir(parents=True, exist_ok=True)
-    for f in (*files, _manifest(core, needed, scalars, files)):
+    told = {user: {"folder": folders[user], "scalar": scalars[user]} | _needed(needed[user]) for user in sorted(needed)}
+    for f in (*files, _manifest(core, told, files)):
         (folder / f.name).write_text(f.text, encoding="utf-8", newline="\n")
     return folder
 
 
-def _manifest(
-    core: str, needed: Mapping[str, Mapping[str, Block]], scalars: Mapping[str, Scalar], files: tuple[SourceFile, ...]
-) -> SourceFile:
+def _manifest(core: str, users: Mapping[str, Any], files: tuple[SourceFile, ...]) -> SourceFile:
     told = {
         "generator": f"servogen {VERSION}",
         "core": core,
-        "users": {user: _user(scalars[user], needed[user]) for user in sorted(needed)},
+        "users": users,
         "files": {f.name: hashlib.sha256(f.text.encode()).hexdigest() for f in files},
     }
     return SourceFile("manifest.json", json.dumps(told, indent=2) + "\n")
 
 
-def _user(scalar: Scalar, needed: Mapping[str, Block]) -> dict[str, Any]:
-    return {"scalar": scalar, "blocks": sorted(needed), "named": sorted(n for n, b in needed.items() if b.named)}
+def _needed(blocks: Mapping[str, Block]) -> dict[str, list[str]]:
+    return {"blocks": sorted(blocks), "named": sorted(n for n, b in blocks.items() if b.named)}
 
 
 def _remedy(folder: Path) -> str:
@@ -65,7 +71,7 @@ def _remedy(folder: Path) -> str:
 
 
 def _complete(users: Mapping[str, Mapping[str, Any]]) -> bool:
-    return all(told.keys() == {"scalar", "blocks", "named"} for told in users.values())
+    return all(told.keys() == {"folder", "scalar", "blocks", "named"} for told in users.values())
 
 
 def _known(folder: Path, core: str) -> tuple[dict[str, Any], dict[str, Block]]:

@@ -119,7 +119,8 @@ static void compare(const harness_output *output, const real *value, uint32_t ve
 }
 
 #ifdef SERVOGEN_MEASURE
-#define TIMES 100u /* calls of one vector: the counter's tick is many instructions long */
+#define TIMES 100u /* calls of one vector at most: the counter's tick is many instructions long */
+#define ENOUGH 1000000u /* instructions beside which a tick is nothing: longer calls are made fewer times */
 
 /* Instructions of one call, its arguments and its place in a loop included: the worst and the mean over all vectors;
    and the deepest stack below the caller's. */
@@ -134,7 +135,9 @@ static void measure(const harness_entry *entry)
         out[j] = entry->output[j].exact;
     }
     for (uint32_t k = 0; k < entry->vectors; ++k) {
-        const uint32_t count = entry->repeat(k, out, TIMES, &counter);
+        const uint32_t once = entry->repeat(k, out, 1, &counter);
+        const uint32_t times = once > ENOUGH / TIMES ? ENOUGH / once + 1 : TIMES;
+        const uint32_t count = (uint32_t)((uint64_t)entry->repeat(k, out, times, &counter) * TIMES / times);
         const uint32_t depth = entry->repeat(k, out, 1, &painter);
         stack = depth > stack ? depth : stack;
         missing += count == 0;

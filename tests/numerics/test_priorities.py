@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen import exact
-from servogen.exact_levels import lexicographic
+from servogen.exact_levels import lexicographic, switched
 from servogen.loading import load_scene
 from servogen.scalars import EPSILON
 from servogen.scene.domain import draw_states
+from servogen.simulate.claim import claim_of
+from servogen.simulate.simulation import moving_references, start_values
 from servogen.twins.compiled import CompiledTwin
 from servogen.verify.answers import amplification
 from servogen.verify.check import check
@@ -22,15 +24,15 @@ TAU_BAR, OPTIMUM_BAR = 8.0, 4.0
 the sizes in play."""
 
 
-def given(levels: tuple[int, ...], l: int, **more) -> sg.Scene:
-    """A scene whose S and z are its inputs A and b: psi = A u - b with Theta = -1, at u = 0."""
+def given(levels: tuple[int, ...], l: int, switched: tuple[int, ...] = (), **more) -> sg.Scene:
+    """A scene whose S and z are its inputs A and b: psi = A u - b with Theta = -1, at u = 0. switched: these levels."""
     m = sum(levels)
     ref = sg.References(A=[0.0] * (m * l), b=[0.0] * m)
     u = ca.SX.sym("u", l)
     rows = ca.reshape(ref.A, l, m).T @ u - ref.b
     ends = np.cumsum((0, *levels))
     constraints = [
-        sg.Nonholonomic(f"level {k}", rows[a:b], Theta=-1.0, priority=3 * k - 5)
+        sg.Nonholonomic(f"l{k}", rows[a:b], Theta=-1.0, priority=3 * k - 5, active="input" if k in switched else None)
         for k, (a, b) in enumerate(pairwise(ends))
     ]
     body = sg.Mechanism(
@@ -40,8 +42,8 @@ def given(levels: tuple[int, ...], l: int, **more) -> sg.Scene:
 
 
 @lru_cache
-def twin(levels: tuple[int, ...], l: int, scalar: str) -> CompiledTwin:
-    return sg.build(given(levels, l), scalar=scalar).load()
+def twin(levels: tuple[int, ...], l: int, scalar: str, switched: tuple[int, ...] = ()) -> CompiledTwin:
+    return sg.build(given(levels, l, switched), scalar=scalar).load()
 
 
 def asked(A: np.ndarray, b: np.ndarray, y: np.ndarray) -> dict[str, np.ndarray]:
@@ -155,6 +157,59 @@ def iiwa() -> list[tuple[np.ndarray, np.ndarray]]:
     return [(code.S(**state), code.z(**state)) for state in each]
 
 
+@pytest.mark.parametrize("scalar", ["float64", "float32"])
+def test_out_at_0_and_in_at_1_to_the_last_bit(scalar: str) -> None:
+    """Without its constraint, or as if it could not go; beyond 0 and 1 as at them."""
+    r, nothing = np.random.default_rng(4), np.zeros(5)
+    whole, coming = twin((2, 2, 2), 5, scalar), twin((2, 2, 2), 5, scalar, (0, 1))
+    fewer = sg.build(given((2, 2), 5), scalar=scalar).load()
+    for _ in range(20):
+        A, b, y = r.standard_normal((6, 5)), r.standard_normal(6), r.standard_normal(5)
+        plain = whole.control(**asked(A, b, y))
+        for a in (1.0, 1.5, 1e30):
+            same = coming.control(**asked(A, b, y), l0_active=a, l1_active=1.0)
+            assert same.value.tobytes() == plain.value.tobytes()
+            assert same.info == plain.info
+        for gone, kept in ((0, slice(2, 6)), (1, [0, 1, 4, 5])):
+            without = fewer.control(**asked(A[kept], b[kept], y))
+            for a in (0.0, -0.5):
+                same = coming.control(**asked(A, b, y), **{f"l{gone}_active": a})
+                assert same.value.tobytes() == without.value.tobytes()
+                assert (same.info.status, same.info.rank) == (without.info.status, without.info.rank)
+                assert same.info.level_rank == [*without.info.level_rank[:gone], 0, *without.info.level_rank[gone:]]
+                assert same.info.residual == without.info.residual
+    refused = coming.control(q=nothing, u=nothing, l1_active=np.nan)
+    assert refused.info.status == sg.Status.NONFINITE
+
+
+def test_in_between_and_on_the_way() -> None:
+    """The exact answer for three constraints that move at once, and no jump on a path through 0 and 1."""
+    r, levels = np.random.default_rng(8), ((0, 1), (2, 3), (4, 5))
+    code = twin((2, 2, 2), 5, "float64", (0, 1, 2))
+    A, b, y = r.standard_normal((6, 5)), r.standard_normal(6), r.standard_normal(5)
+
+    def at(t: float) -> np.ndarray:
+        return np.clip(0.5 + 0.8 * np.sin([5 * t, 7 * t + 1, 3 * t + 2]), 0.0, 1.0)
+
+    for t in np.linspace(0, 2, 15):
+        part = at(t)
+        answer = code.control(**asked(A, b, y), **{f"l{k}_active": a for k, a in enumerate(part)})
+        best = switched(
+            *(exact.rational(v) for v in (A, b, y)), levels, [(own, a) for own, a in zip(levels, part, strict=True)]
+        )
+        assert np.allclose(answer.value, exact.nearest(best.x)[:, 0], rtol=0, atol=1e-12)
+    steps = []
+    for count in (500, 5000):
+        active = np.array([at(t) for t in np.linspace(0, 2, count)])
+        path = code.control_batch(
+            **{n: v if n in ("A", "b", "y") else np.zeros((count, 5)) for n, v in asked(A, b, y).items()},
+            **{f"l{k}_active": active[:, k] for k in range(3)},
+        )
+        steps.append(np.max(np.abs(np.diff(path.value, axis=0))))
+    assert {0.0, 1.0} <= set(active[:, 0])
+    assert steps[1] < 0.12 * steps[0], "the largest step of tau does not shrink with the path's"
+
+
 def test_one_priority_is_none(tmp_path) -> None:
     """The same bytes, whatever its number."""
     plain = load_scene("double_pendulum_energy")
@@ -179,15 +234,15 @@ def small(**more) -> sg.Scene:
     )
     constraints = [
         sg.Nonholonomic("still", u[1:], Theta=-2.0, priority=9),
-        sg.Holonomic("end", ca.vertcat(q[0] + ca.cos(q[1]), q[2] - q[0]), Theta1=-4.0, Theta2=-4.0),
-        sg.Nonholonomic("speed", u[0] * u[1] + u[0] - 0.3, Theta=-1.0, priority=1),
+        sg.Holonomic("end", ca.vertcat(q[0] + ca.cos(q[1]), q[2] - q[0]), Theta1=-4.0, Theta2=-4.0, active="input"),
+        sg.Nonholonomic("speed", u[0] * u[1] + u[0] - 0.3, Theta=-1.0, priority=1, active="input"),
     ]
     return sg.Scene("small", body, constraints, domain={"q": (-1, 1), "u": (-1, 1)}, **more)
 
 
 def test_a_scene_with_priorities_passes_its_check() -> None:
-    """Boundary states, both scalars and compilers, in the metric of a weight."""
-    report = check([small(weight=np.diag([1.0, 2.0, 3.0]) + 0.3, y="input")], states=4)
+    """Boundary states, both scalars and compilers, in the metric of a weight; constraints that come and go."""
+    report = check([small(weight=np.diag([1.0, 2.0, 3.0]) + 0.3, y="input")], states=6)
     assert report.passed, report.problems
     assert all(s.solved for s in report.solves)
 
@@ -199,13 +254,26 @@ def test_a_batch_and_a_refusal_tell_of_levels() -> None:
     for code in (sg.build(scene).load(), sg.reference(scene)):
         batch = code.control_batch(**states)
         assert batch.level_rank.shape == batch.level_residual.shape == (5, 3)
-        one = code.control(**{n: v[2] for n, v in states.items()})
+        states |= {"end_active": [1.0], "speed_active": [1.0]}
+        batch = code.control_batch(**states)
+        one = code.control(**{n: v[2] for n, v in states.items() if n[-6:] != "active"})  # 1 is the default
         assert batch[2].info == one.info
         assert one.info.level_rank == [2, 1, 0]
         assert one.info.status == sg.Status.OK
         assert max(one.info.level_residual[:2]) < 1e-13 < one.info.level_residual[2]
-        refused = code.control(**{n: v[2] * np.nan for n, v in states.items()})
+        refused = code.control(q=[0, 0, 0], u=[0, 0, np.nan])
         assert refused.info.level_rank == refused.info.level_residual == [0, 0, 0]
+
+
+def test_a_simulation_moves_an_activation_and_claims_the_first_level() -> None:
+    scene = small()
+    run = sg.Simulation(references={"end_active": lambda t: ca.tanh(t), "speed_active": 0.5})
+    assert start_values(scene, run)["speed_active"] == 0.5
+    t = ca.SX.sym("t")
+    assert ca.depends_on(moving_references(scene, run, t)["end_active"], t)
+    still = replace(scene, constraints=[replace(c, active=None) for c in scene.constraints])
+    assert np.isfinite(claim_of(still, sg.Simulation(), {}).tolerance).tolist() == [False, False, True, True, False]
+    assert not np.isfinite(claim_of(scene, sg.Simulation(), {}).tolerance).any()
 
 
 def test_priorities_that_make_no_sense() -> None:
@@ -219,7 +287,23 @@ def test_priorities_that_make_no_sense() -> None:
         sg.Scene("s", body, two, mode="ideal")
     with pytest.raises(sg.SceneError, match=r"Solver\(method='cod'\) and priorities"):
         sg.Scene("s", body, two, solver=sg.Solver(method="cod"))
-    with pytest.raises(sg.SceneError, match="limits with priorities are not built"):
+    with pytest.raises(sg.SceneError, match="limits with priorities or with active='input' are not built"):
         sg.Scene("s", body, two, limits=sg.Limits(-1, 1))
-    with pytest.raises(sg.SceneError, match="with priorities is not built; leave out core"):
+    with pytest.raises(sg.SceneError, match="with priorities or active='input' is not built; leave out core"):
         sg.build(sg.Scene("s", body, two), core="servogen_core")
+
+
+def test_activations_that_make_no_sense() -> None:
+    u, tau = ca.SX.sym("u", 2), ca.SX.sym("tau", 2)
+    body = sg.Mechanism(q=ca.SX.sym("q", 2), u=u, tau=tau, Q=ca.SX.eye(2), P=ca.SX.zeros(2), G=ca.SX.eye(2))
+    with pytest.raises(sg.SceneError, match=r"active=0\.5; give 'input' for the input a_active"):
+        sg.Nonholonomic("a", u[0], Theta=-1, active=0.5)
+    with pytest.raises(sg.SceneError, match="'the end': the input 'the end_active' is not a C identifier"):
+        sg.Nonholonomic("the end", u[0], Theta=-1, active="input")
+    coming = [sg.Nonholonomic(f"c{k}", u[k % 2], Theta=-1, active="input") for k in range(5)]
+    with pytest.raises(sg.SceneError, match="5 constraints with active='input'; there may be 4"):
+        sg.Scene("s", body, coming)
+    with pytest.raises(sg.SceneError, match="brings the input c0_active, but a parameter or reference has that name"):
+        sg.Scene("s", body, coming[:1], parameters=sg.Parameters(c0_active=1.0))
+    with pytest.raises(sg.SceneError, match="mode='ideal' takes all constraints alike"):
+        sg.Scene("s", body, coming[:1], mode="ideal")

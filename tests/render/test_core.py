@@ -126,6 +126,9 @@ def test_what_is_no_core_is_left_alone_and_named(tmp_path) -> None:
     assert [p.name for p in core.iterdir()] == ["notes.txt"]
     with pytest.raises(sg.SceneError, match="prefix 'servogen_core_a' collides with the names of the core"):
         sg.build(scene, tmp_path / "other" / "a", prefix=f"{CORE}_a", core=CORE)
+    sg.build(scene, tmp_path / "two" / "a", prefix="hover", core=CORE)
+    with pytest.raises(sg.SceneError, match=r"prefix 'hover': .*a has it, too, .*clash in one image"):
+        sg.build(scene, tmp_path / "two" / "b", prefix="hover", core=CORE)
     with pytest.raises(sg.SceneError, match="core 'no name' is not a C identifier"):
         sg.build(scene, tmp_path / "a", core="no name")
 

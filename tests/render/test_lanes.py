@@ -60,12 +60,16 @@ def test_a_lane_has_the_bits_of_one_state_alone(scene: sg.Scene, scalar: str) ->
         assert getattr(one, name).tobytes() == getattr(many, name).tobytes(), name
 
 
-@pytest.mark.parametrize(("m", "l", "scalar"), [(2, 5, "float64"), (3, 3, "float32"), (1, 4, "float64")])
-def test_solves_in_lanes(m: int, l: int, scalar: str) -> None:
+@pytest.mark.parametrize(
+    ("m", "l", "scalar", "method"),
+    [(2, 5, "float64", "auto"), (3, 3, "float32", "auto"), (1, 4, "float64", "auto"), (2, 3, "float64", "cod")],
+)
+def test_solves_in_lanes(m: int, l: int, scalar: str, method: str) -> None:
     rng = np.random.default_rng(1)
     S, z, y = rng.normal(size=(COUNT, m, l)), rng.normal(size=(COUNT, m)), rng.normal(size=(COUNT, l))
     S[3], S[5, 0, 0], S[8, -1], z[11], y[17, 0], S[21] = 0.0, math.nan, S[8, 0] * (1 + 1e-9), 0.0, math.inf, 1e-30
-    packages = [sg.build_solver(m, l, scalar=scalar, batch=b) for b in (False, True)]  # type: ignore[arg-type]
+    solver = sg.Solver(method=method)  # type: ignore[arg-type]
+    packages = [sg.build_solver(m, l, scalar=scalar, solver=solver, batch=b) for b in (False, True)]  # type: ignore[arg-type]
     twins = [package.load(flags=["-O1"]) for package in packages]
     for free in (None, y):
         (one, told), (many, told_many) = (twin.solve(S, z, free) for twin in twins)

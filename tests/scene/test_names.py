@@ -57,12 +57,17 @@ def test_names_of_derivatives_are_checked_too() -> None:
         sg.References(r=sg.Ref(0.0, order=2), r_ddot=1.0)
 
 
-@pytest.mark.parametrize("name", ["double", "class", "I", "9lives", "a b", ""])
+@pytest.mark.parametrize("name", ["double", "class", "I", "9lives", "a b", "", 101 * "x"])
 def test_names_of_scenes_and_prefixes(name: str) -> None:
     with pytest.raises(sg.SceneError, match="scene"):
         sg.Scene(name, None, [])  # type: ignore[arg-type]
     with pytest.raises(sg.SceneError, match="prefix"):
         sg.build_solver(1, 1, prefix=name)
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path) -> None:
+    with pytest.raises(sg.SceneError, match=r"out: no folder .* can be made: File name too long; give another one"):
+        sg.build_solver(1, 1, tmp_path / (300 * "x"))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 import servogen as sg
 from servogen.simulate.claim import claim_of
 from servogen.simulate.closed_loop import ClosedLoop, simulate
-from servogen.simulate.simulation import units_of_entries
+from servogen.simulate.simulation import check_simulation, units_of_entries, with_units_of_rates
 from servogen.simulate.trajectory import Stop
 from servogen.simulate.verdict import judge
 from servogen.simulate.wanted import load_simulation
@@ -206,5 +206,39 @@ def test_units_by_entry():
     assert units_of_entries("rad", 2) == ("rad", "rad")
     assert units_of_entries("m, rad", 2) == ("m", "rad")
     assert units_of_entries(None, 3) == ("", "", "")
-    with pytest.raises(sg.SceneError, match=r"units\['psi'\] = 'm, rad' tells 2 units of 1 entries"):
-        ClosedLoop(oscillator(), sg.Simulation(units={"psi": "m, rad"}))
+    assert units_of_entries("N, N m", 3) == ("N, N m",) * 3
+    with pytest.warns(sg.Remark, match=r"units\['psi'\] = 'm, rad' tells 2 units of 1 entries"):
+        check_simulation(oscillator(), sg.Simulation(units={"psi": "m, rad"}))
+
+
+def test_limits_of_a_scene_count_from_the_first_row_on_and_between_ticks():
+    """First one control is held back, later the other: the word is that of many runs, and rows between ticks count."""
+    q, u, tau = (ca.SX.sym(n, 2) for n in ("q", "u", "tau"))
+    ref = sg.References(r=sg.Ref([0.0, 0.0], order=2))
+    mech = sg.Mechanism(q=q, u=u, tau=tau, Q=ca.SX.eye(2), P=ca.SX.zeros(2), G=ca.SX.eye(2))
+    scene = sg.Scene(
+        "held_back",
+        mech,
+        [sg.Holonomic("track", q - ref.r, Theta1=-3.0, Theta2=-2.0)],
+        references=ref,
+        limits=sg.Limits(-1.0, 1.0),
+    )
+    course = {"r": lambda t: ca.vertcat(0, t**3)}
+    loop = ClosedLoop(
+        scene, sg.Simulation(start={"q": [1, 0], "u": [0, 0]}, duration=1.0, step=0.01, references=course)
+    )
+    for options in ({}, {"hold": 0.05}):
+        run = loop.run(**options)
+        assert run.limited[0] == 1
+        assert run.limited.max() >= 2
+        assert np.array_equal(
+            run.limited != 0, np.isin(run.status, (sg.Status.LIMITED, sg.Status.LIMITED_INCONSISTENT))
+        )
+        assert run.verdict.word == loop.runs(1, **options).words[0] == "limited"
+
+
+def test_units_of_u_are_those_of_q_per_second(rail_loop):
+    simulation = sg.Simulation(start=rail_loop.simulation.start, duration=0.01, units={"q": "m"})
+    assert with_units_of_rates(rail_loop.scene, simulation).units == {"q": "m", "u": "m/s"}
+    assert with_units_of_rates(rail_loop.scene, replace(simulation, units={"u": "ft/s", "q": "m"})).units["u"] == "ft/s"
+    assert "u" not in with_units_of_rates(load_simulation("unicycle_path")[0], simulation).units  # q' is not u

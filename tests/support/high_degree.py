@@ -63,3 +63,23 @@ def rod_dynamics(angle: Any, speed: Any, par: sg.Parameters) -> tuple[Any, Any, 
     )
     end = ca.vertcat(*(l[0] * f(angle[0]) + l[1] * f(angle[1]) for f in (ca.cos, ca.sin)))
     return M, h, end
+
+
+def crane() -> sg.Scene:
+    """An overhead crane: force F on the trolley, torque M on the winch; its load follows a path. z points downwards.
+
+    m = 100 kg, trolley 10 kg, winch of radius 0.1 m and 0.1 kg m^2. q: trolley, winch angle, angle of the rope.
+    """
+    q = ca.vertcat(ca.SX.sym("s"), ca.SX.sym("beta"), ca.SX.sym("theta"))
+    u, ref = ca.SX.sym("u", 3), sg.References(p=sg.Ref([0.0, 4.0], order=4))
+    rope = 0.1 * q[1]
+    load = ca.vertcat(q[0] + rope * ca.sin(q[2]), rope * ca.cos(q[2]))
+    T = 10 * u[0] ** 2 / 2 + 0.1 * u[1] ** 2 / 2 + 100 * ca.sumsqr(ca.jtimes(load, q, u)) / 2
+    momentum = ca.gradient(T, u)
+    P = ca.gradient(T, q) + 100 * 9.81 * ca.gradient(load[1], q) - ca.jtimes(momentum, q, u)
+    mech = sg.Mechanism(
+        q, u, ca.vertcat(ca.SX.sym("F"), ca.SX.sym("M")), Q=ca.hessian(T, u)[0], P=P, G=ca.DM.eye(3)[:, :2]
+    )
+    domain = {"q": ([-2.0, 30.0, -0.5], [2.0, 60.0, 0.5]), "u": (-1.0, 1.0), "p": ([-1.0, 3.0], [1.0, 5.0])}
+    held = sg.Holonomic("load", load - ref.p, -4.0, -4.0)
+    return sg.Scene("crane", mech, [held], references=ref, domain=domain)

@@ -124,6 +124,12 @@ def test_what_is_wrong_with_a_batch_is_told() -> None:
             twin.S_batch(q=good["q"], u=np.ones((4, 2)))
         with pytest.raises(ValueError, match=r"u: give numbers of shape \(2,\), or \(N, 2\)"):
             twin.control_batch(q=good["q"], u="fast")
+        with pytest.raises(ValueError, match=r"u: give numbers of shape \(2,\), or \(N, 2\)"):
+            twin.control_batch(q=good["q"], u=good["u"] + 1j)
+        for threads in (0, -1, 2.5, "2", True):
+            for function in (twin.control_batch, twin.S_batch):
+                with pytest.raises(ValueError, match=f"threads={threads!r}: give a whole number from 1, or None"):
+                    function(**good, threads=threads)
         with pytest.raises(ValueError, match=r"last has shape \(3,\); it must have \(2,\) or \(3, 2\)"):
             twin.control_batch(**good, last=np.zeros(3))
         with pytest.raises(AttributeError, match="has no A"):

@@ -138,7 +138,7 @@ def test_files_of_another_kind(tmp_path: Path, text: str, words: str) -> None:
         (f"<robot>{A}</robot>", "text of XML"),
         ("package://arm/arm.urdf", "is a URI"),
         ("x" * 5000, "cannot read"),
-        ("a\0b", "cannot read"),
+        ("a\0b", "no URDF file at"),
         (".", "is a folder"),
         (3, "of type int"),
     ],

@@ -6,6 +6,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import pytest
 import servogen as sg
 from support.robots import ODD
 from urdf.test_known_rates import GAINS, compare, draw
@@ -168,3 +169,11 @@ def test_angles_as_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         turn[0, 0], 0.5232147853951389, rtol=0, atol=1e-12
     )  # cos(1e22): Kahan's test of libraries
+
+
+@pytest.mark.parametrize("moments", [(1.0, 1.0, -1.0), (0.001, 0.001, 0.1)])
+def test_a_payload_that_no_body_can_be(moments: tuple[float, float, float]) -> None:
+    with pytest.raises(
+        sg.SceneError, match=r"payload at 'tool': its inertia has the principal moments .* which no body"
+    ):
+        sg.urdf.Payload("tool", mass=1.0, inertia=np.diag(moments))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import servogen as sg
 from servogen.loading import load_scene
+from servogen.scene.closing import Closer
 from servogen.scene.domain import draw_states
 
 LENGTHS, MASSES = {"crank": 0.2, "coupler": 0.5, "rocker": 0.4}, {"crank": 0.3, "coupler": 0.6, "rocker": 0.5}
@@ -105,3 +106,20 @@ def test_names_of_closures(tmp_path: Path) -> None:
     robot.close("1_tip", "rocker_tip", "pose", name="weld")
     assert [c.name for c in robot.mechanism.passive] == ["_1_tip_to_rocker_tip", "weld"]
     assert not before.passive
+
+
+def test_half_a_turn_off_is_not_closed(tmp_path: Path) -> None:
+    """There the sines of the angles between the frames vanish, too; that solution is not meant."""
+    path = tmp_path / "door.urdf"
+    path.write_text(
+        '<robot name="door"><link name="ground"/>' + link("crank") + link("rocker")
+        + hinge("motor", "ground", "crank", 0.0) + hinge("pivot", "ground", "rocker", 0.0) + "</robot>"
+    )  # fmt: skip
+    door = sg.urdf.load(path, quiet=True)
+    door.close("crank", "rocker", "pose")
+    speed = sg.Nonholonomic("speed", door.u[0], Theta=-1.0)
+    scene = sg.Scene("door", door.mechanism, [speed], domain={"q": (-3.0, 3.0)})
+    turned = draw_states(scene, 40)["q"]
+    np.testing.assert_allclose(np.cos(turned[:, 0] - turned[:, 1]), 1.0, atol=1e-12)
+    states = {"q": np.array([[0.3, 2.9], [0.3, 0.9]]), "u": np.zeros((2, 2))}
+    assert Closer(scene).close(states)[1].tolist() == [False, True]

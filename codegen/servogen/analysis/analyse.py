@@ -93,14 +93,15 @@ class Analysis:
         return f"{', '.join(parts)}; with them the relative degree is {_degrees_told(self.extended_degree)}"
 
 
-def analyse(scene: Scene) -> Analysis:
+def analyse(scene: Scene, largest: int = LARGEST) -> Analysis:
     """Relative degree, dynamic extension, internal dynamics, and their stability at a state of rest.
 
+    largest: operations of a closed loop beyond which its states of rest are not looked for.
     SceneError where `scene` is no Scene, and for an error of its own that no analysis gets around.
     """
     check_scene(scene, "sg.analyse")
     if not scene.system.of_outputs:
-        return _of_a_law(scene)
+        return _of_a_law(scene, largest)
     found = extend(scene)
     facts: dict[str, Any] = {
         "relative_degree": _by_constraint(scene, found.first_degrees),
@@ -113,10 +114,10 @@ def analyse(scene: Scene) -> Analysis:
         return _undecided(scene, facts, found.reason)
     assert found.reached is not None
     free = states_of(found.scene) - sum(found.reached.degrees) - invariants_of(scene)
-    return _inside(scene, facts, free, lambda: inside_of_outputs(scene, found))
+    return _inside(scene, facts, free, lambda: inside_of_outputs(scene, found), largest)
 
 
-def _of_a_law(scene: Scene) -> Analysis:
+def _of_a_law(scene: Scene, largest: int) -> Analysis:
     """Of a scene whose controls are no derivatives' factors: ideal forces, or a rate of tau."""
     with_tau = scene.system.tau_is_state
     orders = tuple(0 if with_tau else c.order for c in scene.constraints for _ in range(c.size))
@@ -124,10 +125,10 @@ def _of_a_law(scene: Scene) -> Analysis:
     facts: dict[str, Any] = {"relative_degree": degrees, "extended_degree": degrees, "extension": {}, "exchanged": {}}
     facts["rank"] = min(scene.rows, scene.system_shape[1])
     states = states_of(scene) + (scene.controls - scene.rows if with_tau else -sum(orders))
-    return _inside(scene, facts, states - invariants_of(scene), lambda: inside_of(scene))
+    return _inside(scene, facts, states - invariants_of(scene), lambda: inside_of(scene), largest)
 
 
-def _inside(scene: Scene, facts: dict[str, Any], free: int, make: Callable[[], Inside]) -> Analysis:
+def _inside(scene: Scene, facts: dict[str, Any], free: int, make: Callable[[], Inside], largest: int) -> Analysis:
     """What the internal dynamics, of dimension `free`, do."""
     flat = free == 0 and scene.rows == scene.controls
     facts |= {"internal_dimension": free, "flat": flat}
@@ -137,8 +138,8 @@ def _inside(scene: Scene, facts: dict[str, Any], free: int, make: Callable[[], I
     inside = make()
     if scene.mechanism.t is not None and ca.depends_on(ca.vertcat(inside.field, inside.held), scene.mechanism.t):
         return _undecided(scene, facts, "the scene depends on t, so it has no state of rest")
-    if ca.Function("size", ca.symvar(inside.field), [inside.field]).n_instructions() > LARGEST:
-        return _undecided(scene, facts, f"the closed loop is larger than {LARGEST} operations")
+    if ca.Function("size", ca.symvar(inside.field), [inside.field]).n_instructions() > largest:
+        return _undecided(scene, facts, f"the closed loop has more than {largest} operations")
     found, dependent = Search(inside).equilibria()
     if not found and dependent:
         return _undecided(scene, facts, "at the states of rest that were found the constraints are dependent, or a row "

@@ -156,6 +156,7 @@ class Search:
         if not np.all(np.isfinite(inner)) or np.max(np.abs(A @ free - free @ inner), initial=0.0) > _ALIKE * scale:
             return None
         values, vectors = np.linalg.eig(inner) if inner.size else (np.zeros(0), np.zeros((0, 0)))
+        values = _without_rounded_zeros(values, max(1.0, float(np.linalg.norm(inner))))
         order = np.lexsort((-values.imag, -values.real))
         tau = np.array(self._controls(x)).ravel()
         return Equilibrium(x, tau, values[order], (free @ vectors)[:, order], far)
@@ -175,6 +176,21 @@ def _spanned(matrix: FloatArray) -> FloatArray:
     """Orthonormal columns that span those of a matrix."""
     left, sigma, _ = np.linalg.svd(matrix, full_matrices=False)
     return left[:, sigma > 1e-9 * np.max(sigma, initial=1e-300)]
+
+
+def _without_rounded_zeros(values: Any, scale: float) -> Any:
+    """Eigenvalues that are zero but for rounding made so.
+
+    A zero of multiplicity k comes out as k numbers of a size of the k-th root of eps around it; the coefficients of
+    their polynomial, which are well conditioned, tell them from small eigenvalues.
+    """
+    order = np.argsort(np.abs(values))
+    for k in range(len(values), 0, -1):
+        near = order[:k]
+        coefficients = np.abs(np.poly(values[near])[1:])
+        if np.all(coefficients <= 1e-11 * scale ** np.arange(1, k + 1)):
+            return np.where(np.isin(np.arange(len(values)), near), 0.0, values)
+    return values
 
 
 def invariants_of(scene: Scene) -> int:

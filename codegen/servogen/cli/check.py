@@ -1,10 +1,11 @@
 """servogen check: the cross-check."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import click
 
+from servogen.analysis.analyse import Analysis, analyse
 from servogen.cli.console import (
     FAILED,
     GOOD,
@@ -24,6 +25,10 @@ from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets
+
+BRIEF = 2000
+"""Operations of a closed loop beyond which `servogen analyse` alone looks for what runs away inside: for a robot with
+seven joints that takes as long as a check."""
 
 
 @click.command("check")
@@ -57,14 +62,26 @@ def check_command(
 
     On the host gcc and clang build it; on a board it runs in the emulator and is also compared with the host.
     """
-    names = chosen(scenes, every)
+    found = [load_scene(n) for n in chosen(scenes, every)]
     with progress(as_json) as advance:
-        report = check([load_scene(n) for n in names], target, states, seed, advance, vectors, CORE if core else None)
+        report = check(found, target, states, seed, advance, vectors, CORE if core else None)
+    inside = {scene.name: analyse(scene, BRIEF) for scene in found}
     if as_json:
-        emit_json({"passed": report.passed, "report": report})
+        told = {name: {"verdict": a.verdict, "meaning": a.meaning} for name, a in inside.items()}
+        emit_json({"passed": report.passed, "report": report, "internal_dynamics": told})
     else:
         show(report)
+        show_inside(inside)
     raise click.exceptions.Exit(GOOD if report.passed else FAILED)
+
+
+def show_inside(inside: Mapping[str, Analysis]) -> None:
+    """What the constraints leave to itself: no matter of the code's correctness, but of what it is asked to do."""
+    for name, a in inside.items():
+        if a.verdict == "unstable" or a.extension is None:
+            complain("INSIDE", f"{name}: {a.meaning}", "bold yellow")
+        else:
+            out.print(f"inside {name}: {a.verdict}; {a.meaning}", markup=False, soft_wrap=True)
 
 
 def show(report: CheckReport) -> None:

@@ -23,7 +23,7 @@ from servogen.simulate.machine import Actuators, machine_in_words, sized_magnitu
 from servogen.simulate.mujoco_plant import MujocoLoop
 from servogen.simulate.plots import METHOD_NAMES, write_plots
 from servogen.simulate.robustness import write_robustness
-from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, units_of_entries
+from servogen.simulate.simulation import METHODS, Simulation, checked, run_takes, start_values, units_of_entries
 from servogen.simulate.trajectory import Trajectory, rows_that_differ, with_unit
 from servogen.simulate.wanted import load_simulation
 from servogen.verify.harness import targets
@@ -188,6 +188,7 @@ def simulate_command(
             files += write_plots(loaded, simulation, trajectory, folder)
     summary = _summary(trajectory, scalar) | {
         "drawn_at_the_start": [n for n in ("q", "u") if n not in changed["start"] and n not in simulation.start],
+        "moved_at_the_start": {} if replay is not None else _moved(loaded, simulation, changed, trajectory),
         "target": target,
         "rows_unlike_the_hosts": differing,
         "mujoco": None if mujoco is None else {"model": str(mujoco), "differences": _differences(loop)},
@@ -292,6 +293,17 @@ def _ends(trajectory: Trajectory, row: int) -> dict[str, Any]:
     return {n: v[row] for n, v in vectors.items()} | {n: float(v[row]) for n, v in trajectory.outputs.items()}
 
 
+def _moved(
+    scene: Scene, simulation: Simulation, changed: Mapping[str, Any], trajectory: Trajectory
+) -> dict[str, float]:
+    """By how much the start of q and u was moved onto the passive constraints; empty where it was not."""
+    if not scene.mechanism.passive or not len(trajectory.t):
+        return {}
+    wanted = start_values(scene, simulation, changed["start"], changed["references"])
+    moved = {n: float(np.max(np.abs(getattr(trajectory, n)[0] - wanted[n]))) for n in ("q", "u")}
+    return {n: x for n, x in moved.items() if x > 1e-6 * (1 + np.max(np.abs(wanted[n])))}
+
+
 def _show(
     trajectory: Trajectory,
     summary: Mapping[str, Any],
@@ -334,6 +346,9 @@ def _show_run(trajectory: Trajectory, summary: Mapping[str, Any], title: str) ->
             f"{n} = {_numbers(v)}, not {_numbers(trajectory.parameters[n])}" for n, v in summary["plant"].items()
         )
         out.print(f"  in the plant {told}", markup=False)
+    if summary["moved_at_the_start"]:
+        moved = " and ".join(f"{n} by at most {x:.3g}" for n, x in summary["moved_at_the_start"].items())
+        out.print(f"  the start was brought onto the passive constraints, which moved {moved}", markup=False)
     if summary["machine"]:
         out.print(f"  the machine: {summary['machine']}", markup=False)
     if summary["target"] != "host":

@@ -9,12 +9,13 @@ from servogen.cli.console import (
     chosen,
     emit_json,
     json_option,
+    out,
     progress,
     scenes_argument,
     table,
 )
 from servogen.simulate.closed_loop import ClosedLoop
-from servogen.simulate.trials import trials
+from servogen.simulate.trials import not_tried, trials
 from servogen.simulate.wanted import load_simulation
 
 
@@ -28,12 +29,13 @@ def verdicts_command(scenes: tuple[str, ...], every: bool, as_json: bool) -> Non
     Exit code 1 unless all are held as they are.
     """
     names = chosen(scenes, every)
-    found = {}
+    found, missing = {}, {}
     with progress(as_json, logged=True) as advance:
         for k, name in enumerate(names):
             advance(k, len(names), name)
             scene, simulation = load_simulation(name)
             found[scene.name] = trials(ClosedLoop(scene, simulation))
+            missing[scene.name] = not_tried(scene)
     if as_json:
         emit_json({n: {t.machine: t.run.verdict for t in tried} for n, tried in found.items()})
     else:
@@ -48,5 +50,8 @@ def verdicts_command(scenes: tuple[str, ...], every: bool, as_json: bool) -> Non
             rows,
             right=(3,),
         )
+        for name, what in missing.items():
+            if what:
+                out.print(f"  {name}: {what}", markup=False)
     held = all(tried[0].run.verdict.held for tried in found.values())
     raise click.exceptions.Exit(GOOD if held else FAILED)

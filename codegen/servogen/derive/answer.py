@@ -27,10 +27,10 @@ def controlling(
     read = [matrix, *(n for s in before for n in (s.matrix, s.right, s.jacobian))]
     read += [name for name in (system.right, free) if name and name not in made and not name.startswith(STATE)]
     found = system.answer if weight is None else "sigma"
-    levels = scene.levels
+    switches = tuple((STATE + name, rows) for name, rows in scene.switches)
     steps: tuple[Step, ...]
-    if len(levels) > 1:
-        steps = (Cascade(found, SYSTEM, matrix, system.right, levels, free),)
+    if scene.cascaded:
+        steps = (Cascade(found, SYSTEM, matrix, system.right, scene.levels, free, switches),)
     else:
         steps = (Solve(found, SYSTEM, matrix, system.right, free),)
     if weight is not None:
@@ -39,7 +39,10 @@ def controlling(
     inverse = f"{system.matrix}_pinv"
     return Law(
         scene.name,
-        inputs=(("y", (scene.controls, 1)),) if free == f"{STATE}y" else (),
+        inputs=(
+            *([("y", (scene.controls, 1))] if free == f"{STATE}y" else []),
+            *((name, (1, 1)) for name, _ in scene.switches),
+        ),
         quantities=tuple((q.name, q.expression.shape) for q in quantities),
         solvers=((SYSTEM, shape),),
         entries=entries,

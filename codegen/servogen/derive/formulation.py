@@ -32,7 +32,8 @@ class MassFindings:
 
 @dataclass(frozen=True, eq=False)
 class MassTreatment:
-    """How Q is solved with, and why; pivots at or below n eps times their scale mean a singular Q at run time."""
+    """How Q is solved with, and why; pivots at or below n eps times their scale mean a singular Q at run time, and the
+    last of them, `joining`, a dead centre of the passive constraints."""
 
     method: str  # "identity", "diagonal", "LDL^T" or "pivoted LU"
     reason: str
@@ -40,6 +41,7 @@ class MassTreatment:
     scales: tuple[Any, ...] = ()
     positive_definite: bool = False  # at every state drawn from the domain
     factor: "MassFactor | None" = None  # where Q is positive definite
+    joining: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -265,12 +265,13 @@ def _solve_closure(
     sizes = [float(f"{size:.3g}") for size in largest]
     p = A.size1()
     if joined.wanders:
-        X, basis, pivots = solve_semidefinite(A, right, joined.rank, [1 / size if size else 0.0 for size in sizes])
-        own, scales = tuple(pivots), (ca.SX(1),) * joined.rank
+        X, basis, chosen = solve_semidefinite(A, right, joined.rank, [1 / size if size else 0.0 for size in sizes])
+        own, scales = tuple(chosen), (ca.SX(1),) * joined.rank
         told = f"J Q^-1 J^T, {p}x{p}, of rank {joined.rank}, its rows chosen by selection"
     else:
         X, treatment = solve_definite(A, right)
         basis, own, scales = None, treatment.pivots, tuple(map(ca.SX, sizes))
         told = f"one LDL^T of J Q^-1 J^T, {p}x{p}"
     reason = f"{mass.reason}; passive constraints: {told}"
-    return X, basis, replace(mass, pivots=(*mass.pivots, *own), scales=(*mass.scales, *scales), reason=reason)
+    pivots, scales = (*mass.pivots, *own), (*mass.scales, *scales)
+    return X, basis, replace(mass, pivots=pivots, scales=scales, joining=len(own), reason=reason)

@@ -20,6 +20,7 @@ from servogen.package import Package
 from servogen.plan.mathematics import Math
 from servogen.render.fold import folded
 from servogen.render.render import environment
+from servogen.render.solver_context import statuses
 from servogen.results import FloatArray
 from servogen.scalars import Scalar
 from servogen.scene.scene import Scene, check_scene
@@ -175,8 +176,9 @@ def _controller_unit(package: Package, scene: Scene, simulation: Simulation) -> 
     first = starts.pop("tau")
     found = interface(package, starts, {f.name: f.default for f in module.parameters})
     advances = bool(module.law.advanced())
-    limited = scene.limits is not None
-    add_controller(found, scene.controls, system.constraint, scene.rows, first if advances else None, limited)
+    there = statuses(scene.limits is not None, bool(scene.mechanism.passive))
+    said = ", ".join(f"{number} {name}" for name, number, _ in there)
+    add_controller(found, scene.controls, system.constraint, scene.rows, first if advances else None, said)
     numbers = {
         "l": scene.controls,
         "m": scene.rows,

@@ -6,7 +6,6 @@ from typing import Literal
 from servogen.package import Package
 from servogen.plan.module import StructField
 from servogen.render.literals import literal
-from servogen.render.solver_context import statuses
 from servogen.results import Path
 
 Settable = Literal["ALWAYS", "BEFORE_STEPS", "NEVER"]
@@ -105,11 +104,11 @@ def _add_input(found: Variables, f: StructField, start: tuple[float, ...]) -> No
 
 
 def add_controller(
-    found: Variables, controls: int, constraint: str, rows: int, first: tuple[float, ...] | None, limited: bool
+    found: Variables, controls: int, constraint: str, rows: int, first: tuple[float, ...] | None, said: str
 ) -> None:
     """tau, what is known of it, and when it is computed.
 
-    first: tau at the start, where the unit integrates it. limited: whether tau has limits.
+    first: tau at the start, where the unit integrates it. said: the statuses there are.
     """
     if first is not None:
         found.add(
@@ -156,7 +155,6 @@ def add_controller(
         f"{constraint} at the last tick",
         **calculated,
     )
-    said = ", ".join(f"{number} {name}" for name, number, _ in statuses(limited))
     paths = ", ".join(f"{int(p)} {p.name}" for p in Path)
     for name, text in (
         ("status", f"of the last tick: {said}; where it is negative tau stays as it was"),

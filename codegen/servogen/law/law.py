@@ -273,6 +273,8 @@ def _text(name: str, value: Any) -> str:
         return ";".join(",".join(f"{e}:{j}" for e, j in row) for row in value)
     if name in ("places", "levels"):
         return ";".join(":".join(str(x) for x in place) for place in value)
+    if name == "switches":
+        return ";".join(":".join((switch, *map(str, rows))) for switch, rows in value)
     if name in ("moved", "no_lower", "no_upper"):
         return ":".join(str(x) for x in value)
     return str(value)
@@ -287,6 +289,9 @@ def _value(name: str, text: str) -> Any:
         return pattern
     if name in ("places", "levels"):
         return tuple(tuple(int(x) for x in place.split(":")) for place in text.split(";"))
+    if name == "switches":
+        parts = (part.split(":") for part in text.split(";"))
+        return tuple((switch, tuple(map(int, rows))) for switch, *rows in parts)
     if name == "moved":
         return tuple(text.split(":"))
     if name in ("no_lower", "no_upper"):

@@ -46,6 +46,8 @@ class Cascade:
 
     levels: the rows of each, first in priority first; every row in one of them. Each level is solved as by Solve,
     within what the levels before it leave open.
+    switches: (an input of one number a, rows). With a <= 0 these rows are left out, with a >= 1 they are as given;
+    between, what is asked of them is a right + (1 - a) matrix x', x' the answer without them.
     """
 
     into: str
@@ -54,6 +56,7 @@ class Cascade:
     right: str
     levels: tuple[tuple[int, ...], ...]
     free: str = ""
+    switches: tuple[tuple[str, tuple[int, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,9 @@ def _cascaded(step: Cascade, shapes: Mapping[str, Shape]) -> Shape:
     rows = sorted(i for level in step.levels for i in level)
     m = shapes[step.matrix][0]
     _fits(rows == list(range(m)) and all(step.levels), f"levels that do not hold each of the {m} rows once")
+    switched = [i for _, own in step.switches for i in own]
+    _fits(len(set(switched)) == len(switched) and set(switched) <= set(rows), "a row that two switches, or none, have")
+    _fits(all(shapes[name] == (1, 1) for name, _ in step.switches), "a switch that is no number")
     return _solved(step, shapes)
 
 
@@ -278,7 +284,7 @@ STEPS: dict[type, Row] = {
         ("first",),
         lambda step: (),
         lambda step, shapes: (0, 0),  # its names are quantities, whose shapes the law states
-        (Status.NONFINITE, Status.SINGULAR_MASS, Status.OVERFLOW),
+        (Status.NONFINITE, Status.SINGULAR_MASS, Status.DEAD_CENTRE, Status.OVERFLOW),
         False,
     ),
     Solve: Row(
@@ -292,7 +298,10 @@ STEPS: dict[type, Row] = {
     Cascade: Row(
         "cascade",
         ("behind",),
-        lambda step: (step.matrix, step.right, *([step.free] if step.free else [])),
+        lambda step: (
+            *(step.matrix, step.right, *([step.free] if step.free else [])),
+            *(name for name, _ in step.switches),
+        ),
         _cascaded,
         (*_RANK, *_REFUSED),
         True,

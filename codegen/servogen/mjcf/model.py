@@ -30,9 +30,9 @@ def compiled_model(mujoco: ModuleType, path: str | Path) -> Compiled:
         notes = [*_equalities(mujoco, spec, file.name), *_unheard(spec)]
         _leave_mechanics(mujoco, spec)
         return Compiled(file.name, spec.compile(), tuple(notes))
+    except SceneError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
-        if isinstance(error, SceneError):
-            raise
         words = " ".join(str(error).split())
         raise SceneError(f"{file.name}: MuJoCo does not read it: {words}; correct the file") from error
 
@@ -47,9 +47,9 @@ def _file(path: str | Path) -> Path:
         if not file.is_file():
             raise SceneError(f"no MJCF file at {str(path)[:200]!r}; give the path of one")
         text = file.read_bytes()
+    except SceneError:
+        raise
     except (OSError, ValueError) as error:  # a name too long, no permission, a zero byte
-        if isinstance(error, SceneError):
-            raise
         raise SceneError(f"cannot read {str(path)[:200]!r}: {error}; give the path of an MJCF file") from error
     if b"<robot" in text and b"<mujoco" not in text.partition(b"<robot")[0]:
         raise SceneError(f"{file.name} is a URDF file; load it with sg.urdf.load")

@@ -2,11 +2,12 @@
 Priorities)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from servogen.law.law import Law
-from servogen.law.steps import Cascade
+from servogen.law.steps import STATE, Cascade
 from servogen.plan.bounds import SPENT
 from servogen.plan.solver import SolverPlan
 from servogen.plan.thresholds import ROUNDING, SWEEP_CAPS
@@ -14,7 +15,7 @@ from servogen.plan.thresholds import ROUNDING, SWEEP_CAPS
 
 @dataclass(frozen=True)
 class CascadePlan:
-    """Least squares level by level. levels: the rows of each, the first in priority first.
+    """Least squares level by level. levels: the rows of each, the first in priority first. switches: as of the step.
 
     floor: of a level behind the first, singular values at or below this part of its size count as zero, for they are
     what rounding leaves of rows that the levels before have used up. clean: entries of a row, in its own unit, that are
@@ -25,6 +26,7 @@ class CascadePlan:
     m: int
     l: int
     levels: tuple[tuple[int, ...], ...]
+    switches: tuple[tuple[str, tuple[int, ...]], ...]
     rtol: float
     floor: float
     clean: float
@@ -40,14 +42,13 @@ class CascadePlan:
         return tuple(i for level in self.levels for i in level)
 
     @property
-    def level_of(self) -> tuple[int, ...]:
-        """The level of each row of S."""
-        return tuple(k for _, k in sorted((i, k) for k, level in enumerate(self.levels) for i in level))
-
-    @property
     def first(self) -> tuple[int, ...]:
         """Where each level begins among `rows`, and where the last one ends."""
         return tuple(sum(map(len, self.levels[:k])) for k in range(len(self.levels) + 1))
+
+    def mask(self, rows: Sequence[int]) -> int:
+        """A bit for each row."""
+        return sum(1 << i for i in rows)
 
     @property
     def longest(self) -> int:
@@ -71,7 +72,10 @@ class CascadePlan:
 
     def to_json(self) -> dict[str, Any]:
         """For the manifest."""
-        return {"levels": [list(level) for level in self.levels], "floor": self.floor, "limit": self.limit}
+        told = {"levels": [list(level) for level in self.levels], "floor": self.floor, "limit": self.limit}
+        if not self.switches:
+            return told
+        return told | {"switches": {name.removeprefix(STATE): list(rows) for name, rows in self.switches}}
 
 
 def plan_cascade(law: Law, solvers: dict[str, SolverPlan]) -> CascadePlan | None:
@@ -86,6 +90,7 @@ def plan_cascade(law: Law, solvers: dict[str, SolverPlan]) -> CascadePlan | None
         m=solver.m,
         l=solver.l,
         levels=step.levels,
+        switches=step.switches,
         rtol=solver.rtol,
         floor=floor,
         clean=SPENT * solver.rtol,

@@ -68,14 +68,16 @@ class Result:
 class Kernel:
     """Straight-line code: (model, inputs) -> results, cut from the scene's one program.
 
-    `guards` is the number of pivots of Q that it hands to its caller for the test of SINGULAR_MASS. `chunks` are the
-    pieces of a kernel too long for one function; `pairs` the sines and cosines that one call computes.
+    `guards` is the number of pivots that it hands to its caller for the test of SINGULAR_MASS, `joining` how many of
+    them, the last, are of the passive constraints, for DEAD_CENTRE. `chunks` are the pieces of a kernel too long for
+    one function; `pairs` the sines and cosines that one call computes.
     """
 
     name: str
     program: Program
     results: tuple[Result, ...]
     guards: int = 0
+    joining: int = 0
     chunks: Chunks | None = None
     pairs: Pairs = ()
 
@@ -123,10 +125,12 @@ class KnownMatrix:
 
 @dataclass(frozen=True)
 class Prepare:
-    """What depends on parameters alone: model fields by `program`, and the pivots of Q that can be judged already."""
+    """What depends on parameters alone: model fields by `program`, and the pivots that can be judged already; the last
+    `joining` of these are of the passive constraints."""
 
     program: Program
     guards: int = 0
+    joining: int = 0
     pairs: Pairs = ()
 
 
@@ -182,6 +186,11 @@ class Module:
         if self.system is None or not any(s.free for s in answers):
             return None
         return "input" if any(f.name == "y" for f in self.inputs) else "expression"
+
+    @property
+    def joins(self) -> bool:
+        """Whether the mechanism has passive constraints, whose pivots are judged."""
+        return self.prepare.joining > 0 or any(kernel.joining for kernel in self.kernels)
 
     @property
     def needs_libm(self) -> bool:

@@ -18,7 +18,7 @@ from servogen.plan.mathematics import Math, pair_angles
 from servogen.plan.module import EntryPoint, Kernel, KnownMatrix, Module, Prepare, Result, StructField, Target
 from servogen.plan.skipped import what_is_skipped
 from servogen.plan.solver import SolverPlan, plan_solver
-from servogen.plan.stage import Staged, cut, stage
+from servogen.plan.stage import Guards, Staged, cut, stage
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.scene import Scene
 from servogen.scene.solver import Solver
@@ -40,7 +40,7 @@ def plan(
     """
     scene = formulation.scene
     law = formulation.law if entry_points is None else restricted(formulation.law, entry_points)
-    staged = stage(_needed(optimised, formulation, law))
+    staged = stage(_needed(optimised, formulation, law), formulation.mass.joining)
     cutter = _Cutter(staged, formulation.quantities, optimised.free_of_mass, target.math)
     entries = [EntryPoint("_".join(names), cutter.kernel(*names)) for names in law.entries]
     solvers = _plan_solvers(formulation, noise, law, target)
@@ -61,7 +61,7 @@ def plan(
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=inputs,
-        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
+        prepare=_prepare(staged, target),
         kernels=cutter.kernels(),
         entry_points=tuple(entries),
         law=law,
@@ -174,10 +174,12 @@ def _solver_law(name: str, m: int, l: int, limits: bool) -> Law:
     return check_legal(Law(name, solvers=((SYSTEM, (m, l)),), routines=(solve, invert)))
 
 
-def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: SceneProgram, target: Target) -> Module:
-    """One entry point that computes all quantities together: the plant of a simulation."""
+def plan_functions(
+    scene: Scene, quantities: Sequence[Quantity], optimised: SceneProgram, target: Target, joining: int = 0
+) -> Module:
+    """One entry point that computes all quantities together: the plant of a simulation. joining: see `stage`."""
     program = optimised.program
-    staged = stage(program)
+    staged = stage(program, joining)
     cutter = _Cutter(staged, quantities, optimised.free_of_mass, target.math)
     kernel = cutter.kernel(*(q.name for q in quantities))
     tau = Field("tau", scene.mechanism.tau, (0.0,) * scene.controls)
@@ -190,7 +192,7 @@ def plan_functions(scene: Scene, quantities: Sequence[Quantity], optimised: Scen
         parameters=_parameters(scene),
         model=_model(scene, staged),
         inputs=_used(tuple(fields.values()), staged.tick, {"q", "u", "tau"}),
-        prepare=Prepare(staged.prepare, staged.prepare_guards, pair_angles(staged.prepare, target.math)),
+        prepare=_prepare(staged, target),
         kernels=cutter.kernels(),
         entry_points=(EntryPoint(kernel.name, kernel),),
         law=check_legal(_law_of(scene.name, quantities)),
@@ -213,14 +215,19 @@ def scene_hash(scene: Scene, program: Program) -> str:
     """SHA-256 of everything that decides the package but the target."""
     text = [str(program), repr(scene.solver), repr(scene.name)]
     text += [repr((f.name, f.default, f.unit, f.text)) for f in (*scene.parameters, *scene.input_fields())]
-    if len(scene.levels) > 1:
-        text.append(repr(scene.levels))
+    if scene.cascaded:
+        text.append(repr((scene.levels, scene.switches)))
     if scene.sides is not None:
         text += [
             scene.sides.policy,
             *(repr(side if isinstance(side, str) else side.open) for _, side in scene.sides.each()),
         ]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()
+
+
+def _prepare(staged: Staged, target: Target) -> Prepare:
+    guards = staged.prepare_guards
+    return Prepare(staged.prepare, guards.count, guards.joining, pair_angles(staged.prepare, target.math))
 
 
 class _Cutter:
@@ -240,13 +247,13 @@ class _Cutter:
         if label not in self._kernels:
             quantities = [self._quantities[n] for n in names]
             dividing = any(q.needs_mass and q.name not in self._free_of_mass for q in quantities)
-            guarded = self._staged.tick_guards if dividing else 0
-            outputs = names + ((MASS_PIVOT, MASS_SCALE) if guarded else ())
+            guards = self._staged.tick_guards if dividing else Guards()
+            outputs = names + ((MASS_PIVOT, MASS_SCALE) if guards.count else ())
             results = tuple(self.result(q.name) for q in quantities)
             program = cut(self._staged.tick, label, outputs)
             chunks = split(program)
             pairs = () if chunks else pair_angles(program, self._math)  # a pair cannot cross from piece to piece
-            self._kernels[label] = Kernel(label, program, results, guarded, chunks, pairs)
+            self._kernels[label] = Kernel(label, program, results, guards.count, guards.joining, chunks, pairs)
         return self._kernels[label]
 
     def result(self, name: str) -> Result:

@@ -97,7 +97,7 @@ def _of_the_solver(formulation: Formulation, known: KnownMatrix | None, solver: 
     """What the solver does without, always or (the SVD) at each tick at which a certificate allows it."""
     matrix = formulation.scene.system.matrix
     lines = []
-    if len(formulation.scene.levels) > 1:
+    if formulation.scene.cascaded:
         lines.append("projectors onto null spaces: rows lose their parts along directions, each of which is found once")
         if solver.method == "auto":
             lines.append("SVD, at each tick and level: not where a certificate proves the rank that the QR finds")
@@ -108,7 +108,7 @@ def _of_the_solver(formulation: Formulation, known: KnownMatrix | None, solver: 
         lines.append(f"SVD: {matrix} is a {solver.form}, the closed form is exact")
     elif solver.method == "cod":
         lines.append("SVD: the rank is decided by the pivots of a QR")
-    elif solver.method == "auto" and len(formulation.scene.levels) == 1:
+    elif solver.method == "auto":
         lines.append("SVD, at each tick: not where a certificate proves that normal equations or QR give its answer")
     if formulation.weight is not None:
         lines.append(f"inverse of W: {formulation.weight.reason}")

@@ -9,19 +9,33 @@ from servogen.optimise.schedule import schedule
 
 
 @dataclass(frozen=True)
+class Guards:
+    """How many pivots are judged: those of Q, then those of the passive constraints."""
+
+    of_mass: int = 0
+    joining: int = 0
+
+    @property
+    def count(self) -> int:
+        return self.of_mass + self.joining
+
+
+@dataclass(frozen=True)
 class Staged:
     """prepare: parameters -> fields of the model (one output each); tick: model and inputs -> the scene's outputs."""
 
     prepare: Program
-    prepare_guards: int
+    prepare_guards: Guards
     tick: Program
-    tick_guards: int
+    tick_guards: Guards
 
 
-def stage(program: Program) -> Staged:
-    """Split a program in two at the values that depend on parameters alone."""
+def stage(program: Program, joining: int = 0) -> Staged:
+    """Split a program in two at the values that depend on parameters alone. joining: the last pivots, which are those
+    of the passive constraints."""
     from_parameters = depends_on_parameters_alone(program)
     guards = _guards_by_time(program, from_parameters)
+    counts = [_counted(program, pairs, joining) for pairs in guards]
     outputs = [o for o in program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
     if guards[1]:
         outputs += _guard_outputs(guards[1])
@@ -32,7 +46,7 @@ def stage(program: Program) -> Staged:
     model, leaf = _name_model(program, sorted(handed_over))
     prepare = _prepare(program, model, guards[0])
     tick = _tick(program, outputs, leaf, model)
-    return Staged(schedule(prepare), len(guards[0]), tick, len(guards[1]))
+    return Staged(schedule(prepare), counts[0], tick, counts[1])
 
 
 def cut(tick: Program, name: str, outputs: tuple[str, ...]) -> Program:
@@ -43,10 +57,10 @@ def cut(tick: Program, name: str, outputs: tuple[str, ...]) -> Program:
     return schedule(Program(name, part.inputs, part.instrs, part.outputs))
 
 
-Guards = list[tuple[int, int]]
+Pairs = list[tuple[int, int]]
 
 
-def _guards_by_time(program: Program, from_parameters: tuple[bool, ...]) -> tuple[Guards, Guards]:
+def _guards_by_time(program: Program, from_parameters: tuple[bool, ...]) -> tuple[Pairs, Pairs]:
     """(pivot, scale) pairs judged in prepare, and those judged at each tick."""
     if not any(o.name == MASS_PIVOT for o in program.outputs):
         return [], []
@@ -58,7 +72,15 @@ def _guards_by_time(program: Program, from_parameters: tuple[bool, ...]) -> tupl
     return [p for p in pairs if early(p[0]) and early(p[1])], [p for p in pairs if not (early(p[0]) and early(p[1]))]
 
 
-def _guard_outputs(pairs: Guards) -> list[Output]:
+def _counted(program: Program, pairs: Pairs, joining: int) -> Guards:
+    if not joining:
+        return Guards(len(pairs))
+    last = program.output(MASS_PIVOT).nodes[-joining:]
+    behind = sum(pivot in last for pivot, _ in pairs)
+    return Guards(len(pairs) - behind, behind)
+
+
+def _guard_outputs(pairs: Pairs) -> list[Output]:
     return [
         Output(MASS_PIVOT, len(pairs), 1, tuple(p for p, _ in pairs)),
         Output(MASS_SCALE, len(pairs), 1, tuple(s for _, s in pairs)),
@@ -90,7 +112,7 @@ def _name_model(program: Program, nodes: list[int]) -> tuple[Model, dict[int, tu
     return model, leaf
 
 
-def _prepare(program: Program, model: Model, guards: Guards) -> Program:
+def _prepare(program: Program, model: Model, guards: Pairs) -> Program:
     instrs = list(program.instrs)
     outputs = []
     for entry, nodes in model:

@@ -15,7 +15,6 @@ from servogen.plan.mathematics import OWN_OPS
 from servogen.plan.module import Module
 from servogen.plan.solver import SolverPlan
 from servogen.render.kernels import Printer, printed, printed_pieces
-from servogen.results import Path
 
 _IN_VECTORS = frozenset({"add", "sub", "mul", "div"})
 """Operations that C has for vectors as for numbers."""
@@ -62,7 +61,8 @@ def lanes_context(module: Module) -> dict[str, Any]:
 
 def _goes_by_lanes(steps: list[Any], plan: SolverPlan) -> bool:
     """A solve of the system, and perhaps a product behind it, by a form whose usual way has no choices."""
-    usual = plan.row_range is not None if plan.form == "row" else Path.NORMAL in plan.ladder and plan.tells_bound
+    ladder = plan.form == "full" and plan.method == "auto" and plan.tells_bound
+    usual = plan.row_range is not None if plan.form == "row" else ladder
     kinds = tuple(type(s) for s in steps)
     return kinds in ((Solve,), (Solve, Multiply)) and plan.wide and plan.damping is None and usual
 

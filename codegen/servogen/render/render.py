@@ -37,7 +37,7 @@ from servogen.render.literals import literal
 from servogen.render.mathematics import math_context
 from servogen.render.solver_context import PLAIN, paths, solver_context, statuses
 from servogen.render.unused import without_unused
-from servogen.results import STATUS_MEANING, Status
+from servogen.results import OF_PASSIVE, STATUS_MEANING, Status
 from servogen.scalars import BITS, EPSILON, Scalar
 from servogen.scene.names import comment_safe
 from servogen.version import VERSION
@@ -140,9 +140,10 @@ def _context(module: Module) -> dict[str, Any]:
     own = module.target.prefix if module.own_functions else ""
     lit = partial(literal, scalar=scalar)
     if module.solver is not None:
-        numbers = solver_context(module.solver, module.target.prefix, lit, module.limits, module.cascade)
+        target = module.target.prefix
+        numbers = solver_context(module.solver, target, lit, module.limits, module.cascade, module.joins)
     else:
-        evaluating = (Status.OK, *STEPS[Evaluate].statuses)
+        evaluating = [s for s in (Status.OK, *STEPS[Evaluate].statuses) if module.joins or s not in OF_PASSIVE]
         numbers = {
             "lit": lit,
             "bits": BITS[scalar],

@@ -6,7 +6,7 @@ from typing import Any
 from servogen.plan.bounds import BoundPlan
 from servogen.plan.cascade import CascadePlan
 from servogen.plan.solver import SolverPlan
-from servogen.results import OF_LIMITS, PATH_MEANING, STATUS_MEANING, Path, Status
+from servogen.results import OF_LIMITS, OF_PASSIVE, PATH_MEANING, STATUS_MEANING, Path, Status
 from servogen.scalars import BITS
 
 PLAIN = {"matrix": "S", "right": "z", "unknown": "tau"}
@@ -19,9 +19,10 @@ def solver_context(
     literal: Callable[[float], str],
     bound: BoundPlan | None = None,
     cascade: CascadePlan | None = None,
+    joins: bool = False,
 ) -> dict[str, Any]:
     """Everything the templates solver/solver.c.j2 and solver/info.h.j2 name. bound, cascade: of limits
-    and priorities, if there are."""
+    and priorities, if there are. joins: whether there are passive constraints."""
     return {
         "p": prefix,
         "P": prefix.upper(),
@@ -34,14 +35,15 @@ def solver_context(
         "lit": literal,
         "bound": bound,
         "cascade": cascade,
-        "statuses": statuses(bound is not None),
+        "statuses": statuses(bound is not None, joins),
         "paths": paths(),
     }
 
 
-def statuses(limited: bool = False) -> list[tuple[str, int, str]]:
-    """Name, number and meaning of each status that there is with limits or without, remarks before refusals."""
-    said = [s for s in Status if limited or s not in OF_LIMITS]
+def statuses(limited: bool = False, joins: bool = False) -> list[tuple[str, int, str]]:
+    """Name, number and meaning of each status there is, with limits and passive constraints or without, remarks before
+    refusals."""
+    said = [s for s in Status if (limited or s not in OF_LIMITS) and (joins or s not in OF_PASSIVE)]
     return [(s.name, int(s), STATUS_MEANING[s]) for s in sorted(said, key=lambda s: (s < 0, abs(s)))]
 
 

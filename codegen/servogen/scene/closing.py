@@ -1,5 +1,7 @@
 """States brought onto the passive constraints: q by Newton's method, then u by its nearest admissible neighbour."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -31,18 +33,28 @@ class Closer:
         C = ca.SX.eye(mech.q.size1()) if mech.C is None else mech.C
         along = ca.mtimes(ca.jacobian(chi, mech.q), C)
         outputs = [ca.densify(x) for x in (chi, along, slow, ca.jacobian(slow, mech.u), C)]
+        meant = ca.vertcat(ca.SX(0, 1), *(c.meant for c in mech.passive if isinstance(c, PassiveHolonomic)))
+        self._meant = ca.Function("meant", [f.symbol for f in fields], [meant])
         self._function = ca.Function("closing", [f.symbol for f in fields], outputs)
         self._names = [f.name for f in fields]
         self._defaults = {f.name: np.array(f.default) for f in fields}
 
+    def _is_meant(self, states: State) -> NDArray[np.bool_]:
+        """Per state, whether this solution of chi = 0 is the one that is meant."""
+        (found,) = self._stacks(self._meant, states)
+        return np.asarray(np.all(found > 0, axis=(1, 2)))
+
     def _at(self, states: State) -> list[FloatArray]:
         """chi and its slope along u, what must vanish of the rates and its slope, C: each with N in front."""
+        return self._stacks(self._function, states)
+
+    def _stacks(self, function: Any, states: State) -> list[FloatArray]:
+        """A function's results at N states, each with N in front."""
         count = len(states["q"])
         given = [
             np.broadcast_to(states.get(n, self._defaults[n]), (count, self._defaults[n].size)) for n in self._names
         ]
-        found = self._function.map(count)(*(ca.DM(np.array(v, dtype=float).T) for v in given))
-        stacks = [np.array(x) for x in found]
+        stacks = [np.array(x) for x in function.map(count).call([ca.DM(np.array(v, dtype=float).T) for v in given])]
         return [x.reshape(len(x), count, x.shape[1] // count).transpose(1, 0, 2) for x in stacks]
 
     def residual(self, states: State) -> FloatArray:
@@ -68,7 +80,11 @@ class Closer:
             u = u - (_inverse(J) @ slow)[:, :, 0]
             chi, along, slow, J, _ = self._at(states | {"q": q, "u": u})
             good = (
-                _small(chi, along) & _small(slow, J) & np.all(np.isfinite(q), axis=1) & np.all(np.isfinite(u), axis=1)
+                self._is_meant(states | {"q": q})
+                & _small(chi, along)
+                & _small(slow, J)
+                & np.all(np.isfinite(q), axis=1)
+                & np.all(np.isfinite(u), axis=1)
             )
         return states | {"q": q, "u": u}, good
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import flint
@@ -12,6 +12,7 @@ import numpy as np
 from servogen.errors import SceneError
 from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
+from servogen.scene.names import check_identifier
 from servogen.scene.symbols import derived
 
 
@@ -32,6 +33,14 @@ def _priority(value: object, what: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise SceneError(f"{what}: priority={value!r}; give an integer, the lower the more important")
     return int(value)
+
+
+def _check_active(active: object, name: str, what: str) -> None:
+    if active is None:
+        return
+    if active != "input":
+        raise SceneError(f"{what}: active={active!r}; give 'input' for the input {name}_active, or leave it out")
+    check_identifier(f"{name}_active", f"{what}: the input")
 
 
 def theta_matrix(Theta: Any, m: int, what: str) -> Any:
@@ -95,12 +104,14 @@ class Nonholonomic:
 
     Theta: number, vector (diagonal), m x m matrix, or SX of parameters; a numeric one must be Hurwitz.
     priority: an integer; constraints of higher numbers get what those of lower ones leave open.
+    active: "input" for an input <name>_active, 0 to 1, that brings the constraint in and takes it out; None: always in.
     """
 
     name: str
     psi: Any
     Theta: Any
     priority: int = 0
+    active: Literal["input"] | None = None
 
     word: ClassVar = "nonholonomic"
     symbol: ClassVar = "psi"
@@ -113,6 +124,7 @@ class Nonholonomic:
         if Theta.is_constant():
             check_hurwitz(Theta, f"{what}: Theta")
         object.__setattr__(self, "priority", _priority(self.priority, what))
+        _check_active(self.active, self.name, what)
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta", Theta)
 
@@ -134,7 +146,7 @@ class Holonomic:
     """psi(q, t) = 0, imposed as psi'' = Theta1 psi' + Theta2 psi, Eqs. (11)-(12).
 
     Theta1, Theta2 as for Nonholonomic; numeric ones must make the companion [[0, I], [Theta2, Theta1]] Hurwitz.
-    priority: as for Nonholonomic.
+    priority, active: as for Nonholonomic.
     """
 
     name: str
@@ -142,6 +154,7 @@ class Holonomic:
     Theta1: Any
     Theta2: Any
     priority: int = 0
+    active: Literal["input"] | None = None
 
     word: ClassVar = "holonomic"
     symbol: ClassVar = "psi"
@@ -158,6 +171,7 @@ class Holonomic:
                 companion((Theta2, Theta1)), f"{what}: the companion [[0, I], [Theta2, Theta1]] of Theta1 and Theta2"
             )
         object.__setattr__(self, "priority", _priority(self.priority, what))
+        _check_active(self.active, self.name, what)
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta1", Theta1)
         object.__setattr__(self, "Theta2", Theta2)
@@ -184,13 +198,14 @@ class Output:
     the r-th must: both are proved when the scene is built, and a SceneError names the row and its own degree.
     Holonomic(psi, Theta1, Theta2) is Output(psi, [Theta2, Theta1]), and Nonholonomic(psi, Theta) is
     Output(psi, [Theta]). Isidori (1995), Section 5.1: the relative degree, and this law.
-    priority: as for Nonholonomic.
+    priority, active: as for Nonholonomic.
     """
 
     name: str
     psi: Any
     Theta: Any
     priority: int = 0
+    active: Literal["input"] | None = None
 
     word: ClassVar = "output"
     symbol: ClassVar = "psi"
@@ -207,6 +222,7 @@ class Output:
         if all(T.is_constant() for T in thetas):
             check_hurwitz(companion(thetas), f"{what}: the companion of Theta")
         object.__setattr__(self, "priority", _priority(self.priority, what))
+        _check_active(self.active, self.name, what)
         object.__setattr__(self, "psi", psi)
         object.__setattr__(self, "Theta", thetas)
 

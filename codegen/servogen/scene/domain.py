@@ -66,7 +66,8 @@ def domain_box(scene: Scene, drawn: State) -> dict[str, tuple[FloatArray, FloatA
 
 def _range(scene: Scene, f: Field) -> tuple[FloatArray, FloatArray]:
     ranges: dict[str, tuple[Any, Any]] = {} if callable(scene.domain) else dict(scene.domain or {})
-    lo, hi = ranges.get(f.name, _around_default(f.name, f.default))
+    usual = (-0.5, 1.5) if f.name in dict(scene.switches) else _around_default(f.name, f.default)  # also out and in
+    lo, hi = ranges.get(f.name, usual)
     return np.broadcast_to(np.asarray(lo, float), f.size), np.broadcast_to(np.asarray(hi, float), f.size)
 
 

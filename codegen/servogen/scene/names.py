@@ -51,6 +51,9 @@ HEADERS = frozenset(
 )
 DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))])
 
+LONGEST = 100
+"""Characters of a prefix: file systems take 255 bytes for a name, and what stands behind a prefix is longer than it."""
+
 # Keywords of the Python twins, and the names the inputs of every scene have.
 INPUT_NAMES = ("q", "u", "t", "tau", "y")
 CALL_NAMES = frozenset({"dt", "last", "self"})
@@ -79,6 +82,8 @@ def check_identifier(name: str, what: str) -> str:
 def check_file_name(name: str, what: str) -> str:
     """As `check_identifier`, and free to be a file <name>.h beside the headers of a system, whatever its case."""
     check_identifier(name, what)
+    if len(name) > LONGEST:
+        raise SceneError(f"{what} {name[:20]!r}... has {len(name)} characters; give it at most {LONGEST}")
     if name.lower() in HEADERS:
         raise SceneError(f"{what} {name!r} would hide the standard header <{name.lower()}.h>; choose another name")
     if name.lower() in DEVICES:

@@ -16,15 +16,20 @@ class PassiveHolonomic:
     """chi(q, t) = 0: p rows, held by forces J^T lam without work, J = chi_q C.
 
     stabilise: omega, 1/s, a number or SX of parameters: 2 omega chi' + omega^2 chi is added to chi'' in the plant of a
-    simulation, and nowhere else (Baumgarte (1972)). SceneError for wrong shapes.
+    simulation, and nowhere else (Baumgarte (1972)). meant: SX that are positive where chi = 0 is meant, where it has
+    other solutions, too (an elbow that bends the other way): states of a domain and starts are closed there alone.
+    SceneError for wrong shapes.
     """
 
     name: str
     chi: Any
     stabilise: Any = 0.0
+    meant: Any = ()
 
     def __post_init__(self) -> None:
         _check(self)
+        meant = ca.SX(0, 1) if isinstance(self.meant, tuple | list) and not self.meant else self.meant
+        object.__setattr__(self, "meant", ca.densify(column(meant, passive_name(self, "meant"))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,8 @@ def check_passive(given: Any, q: Any, u: Any, tau: Any) -> tuple[Passive, ...]:
         if isinstance(c, PassiveHolonomic):
             if ca.depends_on(c.chi, u):
                 raise SceneError(f"{what}: a holonomic chi is of q and t only; use sg.PassiveNonholonomic")
+            if ca.depends_on(c.meant, ca.vertcat(u, tau)):
+                raise SceneError(f"{what}: meant depends on u or tau; it is of q and t")
             for k in range(c.chi.size1()):
                 if not ca.depends_on(c.chi[k], q):
                     row = "chi" if c.chi.size1() == 1 else f"row {k + 1} of chi"

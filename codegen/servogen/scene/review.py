@@ -27,7 +27,7 @@ def review(scene: Scene) -> tuple[str, ...]:
 
 
 def _rows_beyond_controls(scene: Scene) -> list[str]:
-    if scene.rows <= scene.controls or scene.kind == "ideal" or len(scene.levels) > 1:
+    if scene.rows <= scene.controls or scene.kind == "ideal" or scene.cascaded:
         return []  # of priorities, that is what they are for
     names = ", ".join(repr(c.name) for c in scene.constraints)
     return [

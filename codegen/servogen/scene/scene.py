@@ -32,6 +32,10 @@ State = dict[str, FloatArray]
 Domain = Mapping[str, tuple[Any, Any]] | Callable[[np.random.Generator], Mapping[str, Any]]
 
 
+MOST_SWITCHES = 4
+"""Constraints that may come and go: where all of them do at once, 2^4 answers are found on the way to the last."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One controller, checked as a whole on construction (SceneError names the thing and the remedy).
@@ -147,6 +151,21 @@ class Scene:
             at += c.size
         return tuple(tuple(rows[priority]) for priority in sorted(rows))
 
+    @property
+    def switches(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """(input, rows) of each constraint that an input brings in and takes out."""
+        found, at = [], 0
+        for c in self.constraints:
+            if not isinstance(c, ControlsInvolved) and c.active is not None:
+                found.append((f"{c.name}_active", tuple(range(at, at + c.size))))
+            at += c.size
+        return tuple(found)
+
+    @property
+    def cascaded(self) -> bool:
+        """Whether tau is found level by level: there are priorities, or constraints that come and go."""
+        return len(self.levels) > 1 or bool(self.switches)
+
     def shape_of(self, function: Function) -> tuple[int, ...]:
         """The shape of what a function of the scene's twins returns."""
         passive = self.mechanism.passive
@@ -168,6 +187,10 @@ class Scene:
         if self.sides is not None:
             sides = [side for side, given in self.sides.each() if isinstance(given, str)]
             fields += [self._limit_field(INPUTS[side], f"{side} limits of tau, an infinity for none") for side in sides]
+        fields += [
+            Field(name, ca.SX.sym(name), (1.0,), "", "0: the constraint is left out, 1: it holds")
+            for name, _ in self.switches
+        ]
         return (*fields, *self.references)
 
     def _limit_field(self, name: str, text: str) -> Field:
@@ -243,10 +266,10 @@ def _check_limits(scene: Scene) -> None:
             f"scene {scene.name!r}: limits are for servo scenes, whose answer is tau; this one's is {unknown}: "
             "leave out limits"
         )
-    if len(scene.levels) > 1:
+    if scene.cascaded:
         raise SceneError(
-            f"scene {scene.name!r}: limits with priorities are not built; give all constraints one priority, "
-            "or leave out limits"
+            f"scene {scene.name!r}: limits with priorities or with active='input' are not built; give all constraints "
+            "one priority and keep them active, or leave out limits"
         )
     sides = read_limits(scene.limits, scene.controls)
     for name, side in sides.each():
@@ -287,15 +310,15 @@ def _check_kinds(scene: Scene) -> None:
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
         )
-    if scene.mode == "ideal" and len(scene.levels) > 1:
+    if scene.mode == "ideal" and scene.cascaded:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
-            "leave mode at 'servo', or give all constraints one priority"
+            "leave mode at 'servo', or give all constraints one priority and no active='input'"
         )
-    if scene.solver.method == "cod" and len(scene.levels) > 1:
+    if scene.solver.method == "cod" and scene.cascaded:
         raise SceneError(
-            f"scene {scene.name!r}: Solver(method='cod') and priorities: what a level can still do within those before "
-            "it is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority"
+            f"scene {scene.name!r}: Solver(method='cod') and priorities or active='input': what is left to a level is "
+            "decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority, always active"
         )
     names = [c.name for c in scene.constraints]
     for name in names:
@@ -373,6 +396,18 @@ def _among(symbol: Any, symbols: Any) -> bool:
 def _check_names(scene: Scene) -> None:
     assert scene.references is not None
     references = {f.name for f in scene.references}
+    if len(scene.switches) > MOST_SWITCHES:
+        raise SceneError(
+            f"scene {scene.name!r}: {len(scene.switches)} constraints with active='input'; there may be "
+            f"{MOST_SWITCHES}, for all that move at once are solved with and without one another: make one "
+            "constraint of those that come and go together"
+        )
+    for name, _ in scene.switches:
+        if name in references | {f.name for f in scene.parameters}:
+            raise SceneError(
+                f"constraint {name.removesuffix('_active')!r}: active='input' brings the input {name}, but a parameter "
+                "or reference has that name; rename one"
+            )
     for f in scene.parameters:
         if f.name in references:
             raise SceneError(f"parameter {f.name!r} collides with the reference of that name; rename one")

@@ -72,8 +72,8 @@ class Claim:
 def claim_of(
     scene: Scene, simulation: Simulation, parameters: Mapping[str, FloatArray], hold: float | None = None
 ) -> Claim:
-    """What a run of this scene is held to; of priorities, the constraints of the first, and others with a tolerance of
-    their own.
+    """What a run of this scene is held to; of priorities, the constraints of the first that are always active, and
+    others with a tolerance of their own.
 
     parameters: the controller's, by name. hold: seconds between two ticks of a sampling controller.
     """
@@ -83,14 +83,15 @@ def claim_of(
     sizes = _sizes_of_psi(scene, parameters)
     relative = np.full(scene.rows, np.nan)
     tolerance = np.empty(scene.rows)
-    given, row, first = simulation.tolerance, 0, scene.levels[0]
+    given, row = simulation.tolerance, 0
+    first = set(scene.levels[0]) - {i for _, rows in scene.switches for i in rows}
     for c in scene.constraints:
         own = slice(row, row + c.size)
         row += c.size
         if isinstance(given, Mapping) and c.name in given:
             tolerance[own] = given[c.name]
             continue
-        if own.start not in first:  # as far as the first level allows: nothing is claimed
+        if own.start not in first:  # as far as the first level allows, or while it is active: nothing is claimed
             tolerance[own] = math.inf
             continue
         usual = TOLERANCE if hold is None else SAMPLED + hold * _fastest(scene, c, parameters)

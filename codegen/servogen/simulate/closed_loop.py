@@ -38,6 +38,7 @@ from servogen.simulate.simulation import (
     moving_references,
     run_takes,
     start_values,
+    with_units_of_rates,
 )
 from servogen.simulate.sources import LoopSources, host_sources, write_loop
 from servogen.simulate.spread import Draws, draw
@@ -85,7 +86,7 @@ class ClosedLoop:
         if scalar not in EPSILON:
             raise SceneError(f"scalar {scalar!r}: choose 'float64' or 'float32'")
         self.scene = scene
-        self.simulation = simulation or Simulation()
+        self.simulation = with_units_of_rates(scene, simulation or Simulation())
         self.scalar = scalar
         check_simulation(scene, self.simulation)
         self._plant = plant_scene(scene, self.simulation)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
+from servogen.remarks import say
 from servogen.results import FloatArray
 from servogen.scene.convert import column, to_sx
 from servogen.scene.domain import draw_states
@@ -152,9 +153,20 @@ def _units_text(name: str, unit: object) -> str:
 
 
 def units_of_entries(unit: str | None, count: int) -> tuple[str, ...]:
-    """The unit of each of `count` entries: one text for all, or as many with commas between; "" where none is told."""
+    """The unit of each of `count` entries: as many with commas between, else the whole text for each; "" for none."""
     parts = tuple(part.strip() for part in (unit or "").split(","))
-    return parts * count if len(parts) == 1 else parts
+    return parts if len(parts) == count else ((unit or "").strip(),) * count
+
+
+def with_units_of_rates(scene: Scene, simulation: Simulation) -> Simulation:
+    """Where u is q' and only q's units are told, u's are those per second."""
+    units, u, q_dot = simulation.units, scene.mechanism.u, scene.mechanism.q_dot
+    told = units.get("q", "").count(",") + 1
+    unlike = u.shape != q_dot.shape or not ca.is_equal(q_dot, u) or told not in (1, u.numel())
+    if "u" in units or "q" not in units or unlike:
+        return simulation
+    per_second = (f"{unit or '1'}/s" for unit in units_of_entries(units["q"], told))
+    return replace(simulation, units={**units, "u": ", ".join(per_second)})
 
 
 def check_simulation(scene: Scene, simulation: Simulation) -> None:
@@ -189,10 +201,8 @@ def check_simulation(scene: Scene, simulation: Simulation) -> None:
     for name, size in sizes.items():
         told = simulation.units.get(name, "").count(",") + 1
         if told not in (1, size):
-            raise SceneError(
-                f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {size} "
-                "entries; give one for all, or one for each"
-            )
+            text = f"simulation: units[{name!r}] = {simulation.units[name]!r} tells {told} units of {size} entries"
+            say([f"{text} and stands at each of them; give one for all, or one for each"])
 
 
 def _check_run_domain(scene: Scene, simulation: Simulation) -> None:
@@ -301,8 +311,8 @@ def _given_references(scene: Scene, simulation: Simulation) -> Iterator[tuple[st
     """(name, what to call it, the inputs it sets) of each of simulation.references."""
     assert scene.references is not None
     known = {c.chain[0].name: c.chain for c in chains(scene.references)}
-    if scene.y == "input":
-        known |= {f.name: (f,) for f in scene.input_fields() if f.name == "y"}
+    own = {*(["y"] if scene.y == "input" else []), *(name for name, _ in scene.switches)}
+    known |= {f.name: (f,) for f in scene.input_fields() if f.name in own}
     for name in simulation.references:
         what = f"simulation: references[{name!r}]"
         if name not in known:

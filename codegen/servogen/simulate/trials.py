@@ -37,6 +37,15 @@ def trials(loop: ClosedLoop) -> tuple[Trial, ...]:
     return tuple(found)
 
 
+def not_tried(scene: Scene) -> str:
+    """What `trials` leaves out for this scene, and how to have it; empty where nothing."""
+    if _masses(scene):
+        return ""
+    return (
+        "no heavier machine, for no parameter is in kg: make masses sg.Parameter, of a robot sg.urdf.load(payload=...)"
+    )
+
+
 def scattered(loop: ClosedLoop, first: Trajectory) -> tuple[str, dict[str, Any]]:
     """A machine that nobody knows exactly, in words and as options of ClosedLoop.runs.
 
@@ -47,7 +56,7 @@ def scattered(loop: ClosedLoop, first: Trajectory) -> tuple[str, dict[str, Any]]
     if loop.simulation.spread:
         return "what the simulation's spread draws, on its machine", {}
     nq, width = first.q.shape[1], _widths(first)
-    masses = {f.name: 0.1 for f in loop.scene.parameters if "kg" in f.unit}
+    masses = dict.fromkeys(_masses(loop.scene), 0.1)
     spread = masses | {"q": 0.01 * width[:nq], "u": 0.01 * width[nq:]}
     told = "starts within 1 % of the range claimed, noisy sensors, ticks of 1 ms"
     told = f"masses within 10 %, {told}" if masses else told
@@ -65,8 +74,13 @@ def _noise(first: Trajectory) -> dict[str, Any]:
     return {"q": 1e-4 * width[:nq], "u": 1e-3 * width[nq:]}
 
 
+def _masses(scene: Scene) -> dict[str, Any]:
+    """Every parameter in kg or kg m^2, with its value."""
+    return {f.name: np.asarray(f.default) for f in scene.parameters if "kg" in f.unit}
+
+
 def _machines(scene: Scene, first: Trajectory) -> dict[str, dict[str, Any]]:
-    masses = {f.name: 1.2 * np.asarray(f.default) for f in scene.parameters if "kg" in f.unit}
+    masses = {n: 1.2 * value for n, value in _masses(scene).items()}
     machines: dict[str, dict[str, Any]] = {"a tick of 1 ms": {}}
     if masses:
         machines["masses 20 % larger"] = {"plant": masses}

@@ -125,7 +125,8 @@ def _outline(run: "Trajectory", off: "_Off") -> Outline:
     """The bare facts of the rows."""
 
     def first(rows: Any) -> int | None:
-        return int(np.argmax(rows)) if np.any(rows) else None
+        found = np.flatnonzero(rows)
+        return int(found[0]) if len(found) else None
 
     return Outline(
         rows=len(run.t),
@@ -203,7 +204,7 @@ def _ended(run: "Trajectory", last: int, off: "_Off") -> _Told:
             f"If that is its natural end, run it for less than {stop.t:.4g} s; if not, see what leads there.",
         )
     refused = "refused" if stop.reason == "controller" else "could not be computed"
-    return _Told(f"the {stop.reason} {refused}: {_meaning_of(stop.status, run)}", _advice_of(stop.status, run))
+    return _Told(f"the {stop.reason} {refused}: {STATUS_MEANING[stop.status]}", _advice_of(stop.status))
 
 
 _TELLING = {"left the domain": _left, "inconsistent": _inconsistent, "limited": _limited}
@@ -213,8 +214,8 @@ _TELLING = {"left the domain": _left, "inconsistent": _inconsistent, "limited": 
 def _refused_at_the_start(run: "Trajectory") -> Verdict:
     stop = run.stop
     word = word_of_end(stop.reason, stop.event, stop.status) or ""
-    reason = f"The {stop.reason} refused the start: {_meaning_of(stop.status, run)}."
-    return Verdict(word, reason, _advice_of(stop.status, run))
+    reason = f"The {stop.reason} refused the start: {STATUS_MEANING[stop.status]}."
+    return Verdict(word, reason, _advice_of(stop.status))
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,8 @@ class _Off:
 
 def _off(run: "Trajectory") -> _Off:
     claim = run.claim
+    if not np.any(np.isfinite(claim.tolerance)):
+        return _Off(None, False, "nothing is claimed of constraints that come and go")
     deviation = np.abs(run.constraint - run.ideal).astype(float)
     share = deviation / claim.tolerance
     largest = share.max(axis=1)
@@ -278,23 +281,9 @@ def _advice_where_off(run: "Trajectory") -> str:
     )
 
 
-def _dead_centre(status: Status, run: "Trajectory") -> bool:
-    """Whether the status may come of passive constraints, which a run that has a drift has."""
-    return status == Status.SINGULAR_MASS and len(run.drift) > 0
-
-
-def _meaning_of(status: Status, run: "Trajectory") -> str:
-    dead = "the passive constraints lose rank there, a dead centre, or " if _dead_centre(status, run) else ""
-    return dead + STATUS_MEANING[status]
-
-
-def _advice_of(status: Status, run: "Trajectory") -> str:
-    if _dead_centre(status, run):
-        return (
-            "Keep away from dead centres, where no motion is determined, and from where Q is singular; if the "
-            "parameters are not the defaults, see that every body has mass."
-        )
+def _advice_of(status: Status) -> str:
     return {
+        Status.DEAD_CENTRE: "Keep away from dead centres: there the velocities that the constraints allow are more.",
         Status.NONFINITE: "Look for a division by zero or a root of a negative number in the model at that state.",
         Status.SINGULAR_MASS: "Give parameters of a body that has mass, or keep away from where Q is singular.",
         Status.NOT_CONVERGED: "Scale the constraints and controls to like sizes; tell us of it with the state.",

@@ -3,7 +3,7 @@
 from servogen.errors import SceneError
 from servogen.loading import load
 from servogen.scene.scene import Scene
-from servogen.simulate.simulation import Simulation
+from servogen.simulate.simulation import Simulation, with_units_of_rates
 
 
 def load_simulation(spec: str) -> tuple[Scene, Simulation]:
@@ -20,4 +20,4 @@ def load_simulation(spec: str) -> tuple[Scene, Simulation]:
     found = [vars(module)[name] for name in names if name in vars(module)]
     if found and not isinstance(found[0], Simulation):
         raise SceneError(f"{spec}: the variable simulation is a {type(found[0]).__name__}; make it an sg.Simulation")
-    return scene, found[0] if found else Simulation()
+    return scene, with_units_of_rates(scene, found[0] if found else Simulation())

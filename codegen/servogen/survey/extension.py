@@ -19,6 +19,7 @@ from servogen.derive.lie import Drift
 from servogen.derive.lower import lower_model, lower_quantities
 from servogen.derive.passive import independent_rows, respond
 from servogen.ir.field import PRIME, inverse
+from servogen.optimise.decimals import clean_constants
 from servogen.optimise.fingerprint import Fingerprints
 from servogen.optimise.passes import optimise
 from servogen.scene.constraints import Constraint, expression_of
@@ -30,6 +31,9 @@ from servogen.scene.scene import Domain, Scene
 from servogen.scene.symbols import derivative_name
 from servogen.survey.definiteness import survey_mass
 from servogen.survey.degree import LARGEST, labels_of, row_degrees
+
+NEGLIGIBLE = 1e-9
+"""Of rows brought to length one: what is left of one that others make up already is not larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +87,7 @@ def extend(scene: Scene) -> Extension:
             reason = f"no control moves {labels[degrees.index(None)]}, however often it is differentiated"
             known, rank = first or (degrees, 0)
             return Extension(scene, degrees, known, rank, reason=reason)
-        reached = _reached(scene, degrees)
+        reached = reached_at(scene, degrees)
         pivots, depends = _eliminated(scene, reached.S)
         first = first or (degrees, len(pivots))
         found = Extension(scene, degrees, *first, reached, integrators, exchanged)
@@ -134,7 +138,8 @@ def _found(scene: Scene) -> tuple[Samples, MassFindings]:
     return samples, survey_mass(samples, lower_model(scene))
 
 
-def _reached(scene: Scene, degrees: tuple[int | None, ...]) -> Reached:
+def reached_at(scene: Scene, degrees: tuple[int | None, ...]) -> Reached:
+    """The rows of a servo scene, each in its derivative of that degree."""
     samples, found = _found(scene)
     drift = Drift(samples, found, undeclared_rest=True)
     rates, ends, gradients = [], [], []
@@ -168,10 +173,12 @@ def _size(reached: Reached) -> int:
 def _eliminated(scene: Scene, S: Any) -> tuple[dict[int, int], dict[int, list[int]]]:
     """Pivot row -> its column, and dependent row -> the pivot rows that make it up, for almost all states.
 
-    What is zero is decided in the field in which equal values mean equal expressions (optimise/fingerprint.py), so by
-    no tolerance; which of the others is the pivot, by its size beside its row's over the states examined.
+    What is zero is decided in the field in which equal values mean equal expressions (optimise/fingerprint.py), or, for
+    constants may have been rounded on the way there, by being negligible at all states examined. The pivot among the
+    others is the one that is largest over these states, beside its row.
     """
-    program = optimise(lower_quantities(scene, [Quantity("S", S, "", "")]))
+    cleaned, _ = clean_constants(lower_quantities(scene, [Quantity("S", S, "", "")]))
+    program = optimise(cleaned)
     known, nodes = Fingerprints(program).values, program.output("S").nodes
     m, l = S.shape
     rows = [[known[n][0] for n in nodes[i * l : (i + 1) * l]] for i in range(m)]
@@ -181,7 +188,10 @@ def _eliminated(scene: Scene, S: Any) -> tuple[dict[int, int], dict[int, list[in
     sizes = sizes / np.maximum(np.linalg.norm(sizes, axis=(0, 2), keepdims=True), 1e-300)
     pivots: dict[int, int] = {}
     while True:
-        left = [(i, c) for i in range(m) if i not in pivots for c in range(l) if rows[i][c]]
+        largest = np.max(np.abs(sizes), axis=0, initial=0.0)
+        left = [
+            (i, c) for i in range(m) if i not in pivots for c in range(l) if rows[i][c] and largest[i, c] > NEGLIGIBLE
+        ]
         if not left:
             break
         scores = [float(np.mean(np.log(np.abs(sizes[:, i, c]) + 1e-12))) if len(sizes) else 0.0 for i, c in left]

@@ -16,7 +16,9 @@ from servogen.optimise.value_numbering import number_values
 from servogen.results import FloatArray
 from servogen.scene.constraints import Constraint, expression_of
 from servogen.scene.samples import Samples
+from servogen.scene.scene import Scene
 from servogen.survey.degree import labels_of, ordinal, row_degrees, thetas_of, values_and_bounds, vanishing_rows
+from servogen.survey.extension import extend
 
 
 def survey_reach(samples: Samples, formulation: Formulation, lowered: Program, found: MassFindings) -> tuple[str, ...]:
@@ -36,7 +38,7 @@ def survey_reach(samples: Samples, formulation: Formulation, lowered: Program, f
             f"{labels[gone[0]]} does not reach the controls: its row of {name} is identically zero. "
             + _remedy(samples, found, int(gone[0]))
         )
-    return _dependence(name, labels, values) if scene.rows <= shape[1] else ()
+    return _dependence(scene, labels, values) if scene.rows <= shape[1] else ()
 
 
 def _remedy(samples: Samples, found: MassFindings, row: int) -> str:
@@ -82,7 +84,7 @@ def survey_values(samples: Samples, formulation: Formulation) -> None:
             raise SceneError(f"{what} is not finite at any state drawn from the domain; give a domain in which it is")
 
 
-def _dependence(name: str, labels: list[str], values: FloatArray) -> tuple[str, ...]:
+def _dependence(scene: Scene, labels: list[str], values: FloatArray) -> tuple[str, ...]:
     norms = np.linalg.norm(values, axis=2, keepdims=True)
     rows = values / np.where(norms == 0, 1, norms)
     m = len(labels)
@@ -96,4 +98,14 @@ def _dependence(name: str, labels: list[str], values: FloatArray) -> tuple[str, 
         if np.min(cosines[:, i, j]) > 1 - 1e-12
     ]
     which = "; ".join(parallel) if parallel else ", ".join(labels)
-    return (f"the rows of {name} can never be independent ({which}): drop one, or accept the least-squares answer",)
+    told = f"the rows of {scene.system.reach} can never be independent ({which}): "
+    if scene.system.of_outputs:
+        found = extend(scene)
+        if not found.reason:
+            controls = " and ".join(f"{count} before {name}" for name, count in found.integrators.items())
+            degrees = ", ".join(map(str, found.degrees))
+            return (
+                f"{told}the controls reach some of them too soon; with integrators, {controls}, their relative degree "
+                f"is {degrees} and they are independent (sg.analyse): drop one, or accept the least-squares answer",
+            )
+    return (f"{told}drop one, or accept the least-squares answer",)

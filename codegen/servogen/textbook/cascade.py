@@ -24,8 +24,8 @@ def solve_cascade(
 ) -> tuple[FloatArray, Info]:
     """tau of shape (l,) and its info: least squares of S tau = z level by level, nearest to y.
 
-    levels: the rows of each, the most important first; the status is about that one. Where it is negative, tau is
-    `last`, or zeros.
+    levels: the rows of each, the most important first; the status is about the first that has any. Where it is
+    negative, tau is `last`, or zeros.
     """
     S, z, y = (np.asarray(a, dtype=float) for a in (S, z, y))
     untouched = np.zeros(policy.l) if last is None else np.array(last, dtype=float)
@@ -35,7 +35,7 @@ def solve_cascade(
     ranks, damped = list[int](), False
     with np.errstate(over="ignore", invalid="ignore"):
         for own in map(list, levels):
-            lost = max(policy.rtol, _LOST * max(policy.m, policy.l) * policy.epsilon) if ranks else policy.rtol
+            lost = max(policy.rtol, _LOST * max(policy.m, policy.l) * policy.epsilon) if sum(ranks) else policy.rtol
             move, rest, bent = _level(counted[own], basis, z[own] - S[own] @ tau, lost, policy)
             tau = tau + basis @ move
             ranks.append(basis.shape[1] - rest.shape[1])
@@ -43,8 +43,9 @@ def solve_cascade(
     if not np.isfinite(tau.astype(policy.scalar)).all():
         return untouched, _refused(Status.OVERFLOW)
     status = Status.OK
-    rows = list(levels[0])
-    if ranks[0] < len(rows):  # the levels behind the first are met as far as it allows, which is no remark
+    lead = next((k for k, own in enumerate(levels) if own), 0)
+    rows = list(levels[lead])
+    if ranks[lead] < len(rows):  # the levels behind the first are met as far as it allows, which is no remark
         met = consistent(S[rows], z[rows], y, tau, replace(policy, atol=tuple(policy.atol[i] for i in rows)))
         status = Status.RANK_DEFICIENT_CONSISTENT if met else Status.RANK_DEFICIENT_INCONSISTENT
     missed, first = z - S @ tau, S[rows]
@@ -53,11 +54,40 @@ def solve_cascade(
         Path.SVD,
         sum(ranks),
         0,
-        float(np.linalg.svd(first, compute_uv=False)[-1]) if ranks[0] == min(first.shape) else 0.0,
-        float(np.linalg.norm(missed)),
+        float(np.linalg.svd(first, compute_uv=False)[-1]) if 0 < ranks[lead] == min(first.shape) else 0.0,
+        float(np.linalg.norm([missed[i] for own in levels for i in own])),
         level_rank=ranks,
         level_residual=[float(np.linalg.norm(missed[list(own)])) for own in levels],
     )
+
+
+Switch = tuple[Sequence[int], float]
+"""Rows that come and go, and how far they are in, from 0 to 1."""
+
+
+def solve_switched(
+    S: FloatArray,
+    z: FloatArray,
+    y: FloatArray,
+    levels: Sequence[Sequence[int]],
+    switches: Sequence[Switch],
+    policy: Policy,
+    last: FloatArray | None = None,
+) -> tuple[FloatArray, Info]:
+    """The same where rows come and go, Lee, Mansard and Park (2012): a switch in between asks its rows for a z +
+    (1 - a) S tau', tau' the answer without them, which is found likewise."""
+
+    def answer(there: frozenset[int]) -> tuple[FloatArray, Info]:
+        asked = np.array(z, dtype=float)
+        for k in there:
+            rows, a = list(switches[k][0]), switches[k][1]
+            if a < 1:
+                asked[rows] = a * asked[rows] + (1 - a) * S[rows] @ answer(there - {k})[0]
+        gone = {i for k, (rows, _) in enumerate(switches) if k not in there for i in rows}
+        kept = [[i for i in own if i not in gone] for own in levels]
+        return solve_cascade(S, asked, y, kept, policy, last)
+
+    return answer(frozenset(k for k, (_, a) in enumerate(switches) if a > 0))
 
 
 def _level(

@@ -149,6 +149,13 @@ class States:
         return {n: row(v) for n, v in self.inputs.items()}, {n: row(v) for n, v in self.parameters.items()}
 
 
+def check_threads(threads: Any) -> None:
+    """ValueError unless it is a number of threads, or None."""
+    whole = isinstance(threads, (int, np.integer)) and not isinstance(threads, bool)
+    if threads is not None and not (whole and threads >= 1):
+        raise ValueError(f"threads={threads!r}: give a whole number from 1, or None for one a core")
+
+
 def read_states(
     given: Mapping[str, Any],
     inputs: Mapping[str, Field],
@@ -184,7 +191,7 @@ def read_states(
 def _rows(value: Any, size: int, name: str, dtype: np.dtype[Any]) -> tuple[FloatArray, bool]:
     """The array (N, size) of what was given, and whether it has a row a state: else all share its one row."""
     try:
-        if value is None:
+        if value is None or np.iscomplexobj(value):
             raise TypeError
         with np.errstate(over="ignore"):  # beyond float32: an infinity, which the code refuses
             array = np.asarray(value, dtype)

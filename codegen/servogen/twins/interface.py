@@ -17,7 +17,7 @@ from servogen.scene.limits import INPUTS
 from servogen.scene.scene import Scene, expressions
 from servogen.scene.symbols import Field
 from servogen.scene.system import PASSIVE, SYSTEMS, Function
-from servogen.twins.batch import States, read_states
+from servogen.twins.batch import States, check_threads, read_states
 
 
 class Twin(ABC):
@@ -103,6 +103,7 @@ class Twin(ABC):
             return self._answers(offered.name, arrays, last, threads, *numbers)
 
         def quantities(*, threads: int | None = None, **arrays: Any) -> FloatArray:
+            check_threads(threads)
             return self._evaluate_batch(offered, self._read_batch(arrays, offered.name), threads)
 
         function: Callable[..., Any] = answers if offered.controls else quantities
@@ -132,6 +133,7 @@ class Twin(ABC):
         return self._answers("control", arrays, last, threads)
 
     def _answers(self, entry: str, arrays: dict[str, Any], last: Any, threads: int | None, *numbers: float) -> Batch:
+        check_threads(threads)
         states = self._read_batch(arrays, entry)
         shape = (states.count, self._controls)
         value = np.zeros(shape, self.dtype)
@@ -145,21 +147,22 @@ class Twin(ABC):
     def _read_batch(self, arrays: dict[str, Any], function: str) -> States:
         """The states of a batch. TypeError where a state that the function needs is missing, or a name is unknown."""
         self._refuse_missing(arrays, function)
-        known = ("q", "u", "t", "tau", "y")
-        return read_states(arrays, self._fields, known, self._prepared, self.dtype, f"{function}_batch")
+        return read_states(arrays, self._fields, self._sizes, self._prepared, self.dtype, f"{function}_batch")
 
     @cached_property
     def _fields(self) -> dict[str, Field]:
         """Every input of the scene by name; kept, for a controller is called at each tick."""
         return {f.name: f for f in self.scene.input_fields()}
 
+    @cached_property
+    def _sizes(self) -> dict[str, int]:
+        """Every name that a state may be given by, those that this scene does not use among them."""
+        l = self.scene.controls
+        return {"q": 0, "u": 0, "t": 1, "tau": l, "y": l} | {n: f.size for n, f in self._fields.items()}
+
     def read_inputs(self, given: dict[str, Any], function: str = "control") -> dict[str, FloatArray]:
         """Every input of the scene as an array (size,). TypeError where a state that the function needs is missing."""
-        scene = self.scene
-        fields = self._fields
-        sizes = {"q": 0, "u": 0, "t": 1, "tau": scene.controls, "y": scene.controls} | {
-            n: f.size for n, f in fields.items()
-        }
+        scene, fields, sizes = self.scene, self._fields, self._sizes
         values = {}
         for name, value in given.items():
             if name not in sizes:
@@ -248,7 +251,7 @@ def finite(values: Any) -> bool:
 
 def _sized(value: Any, size: int, name: str) -> FloatArray:
     try:
-        if value is None:
+        if value is None or np.iscomplexobj(value):
             raise TypeError
         array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
     except (TypeError, ValueError, RuntimeError):

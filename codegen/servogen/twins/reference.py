@@ -24,7 +24,7 @@ from servogen.scene.solver import Solver
 from servogen.scene.symbols import chains
 from servogen.scene.system import Function
 from servogen.textbook import pseudo_inverse
-from servogen.textbook.cascade import solve_cascade
+from servogen.textbook.cascade import Switch, solve_switched
 from servogen.textbook.limits import solve_within
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
@@ -189,8 +189,10 @@ class ReferenceTwin(Twin):
         given = self.parts(inputs)
         if names and set(names) <= set(_WITHOUT_MASS):
             result = {n: given[_WITHOUT_MASS[n]] for n in names}
-        elif self._singular(given["Q"]) or self._dead(given):
+        elif self._singular(given["Q"]):
             return Status.SINGULAR_MASS, {}
+        elif self._dead(given):
+            return Status.DEAD_CENTRE, {}
         else:
             try:
                 with np.errstate(all="ignore"):
@@ -239,11 +241,14 @@ class ReferenceTwin(Twin):
             return Control(last, refusal(status))
         S = result[matrix].reshape(self.scene.system_shape)
         y = result["y"].ravel()
+        switches = [(rows, float(self._round(inputs[name])[0])) for name, rows in self.scene.switches]
+        if any(not np.isfinite(a) for _, a in switches):
+            return Control(last, refusal(Status.NONFINITE))
         if "weight" not in result:
-            tau, info = self._solved(S, result[right].ravel(), y, last)
+            tau, info = self._solved(S, result[right].ravel(), y, switches, last)
         else:
             with np.errstate(all="ignore"):
-                tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], last)
+                tau, info = self._weighted(S, result[right].ravel(), y, result["weight"], switches, last)
         if info.status == Status.NONFINITE:  # of a finite system: it overflowed on the way
             return Control(last, refusal(Status.OVERFLOW))
         if self.scene.sides is not None and info.status >= 0:
@@ -309,7 +314,7 @@ class ReferenceTwin(Twin):
         types = dict.fromkeys(INFO_INTEGERS, np.dtype(np.int32)) | dict.fromkeys(INFO_REALS, self.dtype)
         types |= {"scale": self.dtype, "active": np.dtype(np.int32)}
         columns: list[Any] = [np.array([getattr(i, n) for i in infos], dtype) for n, dtype in types.items()]
-        levels = len(self.scene.levels) if len(self.scene.levels) > 1 else 0
+        levels = len(self.scene.levels) if self.scene.cascaded else 0
         for n, kind in (("level_rank", np.dtype(np.int32)), ("level_residual", self.dtype)):
             rows = [getattr(i, n) or [0] * levels for i in infos]
             columns.append(np.array(rows, kind).reshape(len(rows), levels))
@@ -322,16 +327,21 @@ class ReferenceTwin(Twin):
         return np.array(rows, self.dtype).reshape(states.count, *shape)
 
     def _solved(
-        self, S: FloatArray, z: FloatArray, y: FloatArray, last: FloatArray | None = None
+        self, S: FloatArray, z: FloatArray, y: FloatArray, switches: Sequence[Switch], last: FloatArray | None = None
     ) -> tuple[FloatArray, Info]:
         """y + S+ (z - S y), or the same level by level."""
-        levels = self.scene.levels
-        if len(levels) > 1:
-            return solve_cascade(S, z, y, levels, self._policy, last)
+        if self.scene.cascaded:
+            return solve_switched(S, z, y, self.scene.levels, switches, self._policy, last)
         return pseudo_inverse.solve(S, z, y, self._policy, last)
 
     def _weighted(
-        self, S: FloatArray, z: FloatArray, y: FloatArray, W: FloatArray, last: FloatArray
+        self,
+        S: FloatArray,
+        z: FloatArray,
+        y: FloatArray,
+        W: FloatArray,
+        switches: Sequence[Switch],
+        last: FloatArray,
     ) -> tuple[FloatArray, Info]:
         """y + W^-1/2 (S W^-1/2)+ (z - S y), which is y + W^-1 S^T (S W^-1 S^T)+ (z - S y): by W's eigenvectors.
 
@@ -341,7 +351,7 @@ class ReferenceTwin(Twin):
         values = 1 / values if self.scene.weighs_by_inverse_mass else values
         root = (vectors * np.sqrt(values)) @ vectors.T
         inverse = (vectors / np.sqrt(values)) @ vectors.T
-        sigma, info = self._solved(S @ inverse, z, root @ y)
+        sigma, info = self._solved(S @ inverse, z, root @ y, switches)
         return (inverse @ sigma, info) if info.status >= 0 else (last, info)
 
 
@@ -351,7 +361,7 @@ class ReferenceServo(ReferenceTwin):
     def _control(self, entry: str, inputs: dict[str, FloatArray], last: FloatArray, *numbers: float) -> Control:
         answer = super()._control(entry, inputs, last, *numbers)
         levels = len(self.scene.levels)
-        if levels == 1 or answer.info.status >= 0:
+        if not self.scene.cascaded or answer.info.status >= 0:
             return answer
         return Control(last, replace(answer.info, level_rank=[0] * levels, level_residual=[0.0] * levels))
 

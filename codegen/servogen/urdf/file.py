@@ -32,6 +32,8 @@ def robot_element(path: str | Path) -> tuple[str, Element]:
         if not file.is_file():
             raise SceneError(f"no URDF file at {str(path)!r}; give the path of one")
         text = file.read_bytes()
+    except SceneError:
+        raise
     except (OSError, ValueError) as error:  # a name too long, no permission, a zero byte
         raise SceneError(f"cannot read {str(path)[:200]!r}: {error}; give the path of a URDF file") from error
     return file.name, _robot(file.name, text)

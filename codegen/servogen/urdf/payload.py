@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from servogen.errors import SceneError
+from servogen.results import FloatArray
 from servogen.scene.convert import column, matrix
 from servogen.urdf.dynamics import Composite
 from servogen.urdf.tree import Tree
@@ -34,6 +36,8 @@ class Payload:
         inertia = ca.densify(matrix(inertia, f"{what}: inertia", 3, 3, "about the payload's centre"))
         if not ca.is_equal(inertia, inertia.T, 1):
             raise SceneError(f"{what}: inertia is not symmetric; write I[j, i] as the same expression as I[i, j]")
+        if inertia.is_constant():
+            _check_moments(what, np.array(ca.DM(inertia)))
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "centre", ca.densify(column(self.centre, f"{what}: centre", 3)))
         object.__setattr__(self, "inertia", inertia)
@@ -58,3 +62,14 @@ class Payload:
 
         second = symmetric(moved(0, 0), moved(1, 1), moved(2, 2), moved(0, 1), moved(0, 2), moved(1, 2))
         return at.body, Composite(self.mass, first, second)
+
+
+def _check_moments(what: str, inertia: FloatArray) -> None:
+    """SceneError for moments that no body has: of masses, none is negative, and none exceeds the sum of both others."""
+    smallest, middle, largest = np.linalg.eigvalsh(inertia)
+    rounding = 1e-9 * abs(largest)
+    if smallest < -rounding or largest > smallest + middle + rounding:
+        raise SceneError(
+            f"{what}: its inertia has the principal moments {smallest:.4g}, {middle:.4g}, {largest:.4g}, which no body "
+            "has; give moments about its centre, none negative and none above the sum of both others"
+        )

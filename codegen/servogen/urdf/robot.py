@@ -142,10 +142,11 @@ class Robot:
         """
         if what not in ("position", "pose"):
             raise SceneError(f"close: {what!r}; choose 'position' or 'pose'")
-        rows = [self.position(frame_a) - self.position(frame_b)]
+        rows, meant = [self.position(frame_a) - self.position(frame_b)], ca.SX(0, 1)
         if what == "pose":
             B = ca.mtimes(self.rotation(frame_a), self.rotation(frame_b).T)
             rows.append(ca.vertcat(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]) / 2)
+            meant = ca.trace(B)  # these sines of the angles vanish half a turn away, too, where this is -1
         entries = [e for e in ca.vertcat(*rows).elements() if not (e.is_constant() and abs(float(e)) <= _ROUNDING)]
         apart = self._frame(frame_a).body != self._frame(frame_b).body
         if not (entries and apart) or any(e.is_constant() for e in entries):
@@ -158,7 +159,7 @@ class Robot:
             name = f"_{name}" if name[0].isdigit() else name
         if any(c.name == name for c in self._closures):
             raise SceneError(f"close: frames {frame_a!r} and {frame_b!r}: a closure is named {name!r}; give a name")
-        return self.hold(PassiveHolonomic(name, ca.vertcat(*entries), stabilise))
+        return self.hold(PassiveHolonomic(name, ca.vertcat(*entries), stabilise, meant))
 
     def hold(self, constraint: PassiveHolonomic) -> PassiveHolonomic:
         """Adds a passive constraint of `q`, which `mechanism` has from then on; one taken before does not have it."""

@@ -12,14 +12,14 @@ import flint
 import numpy as np
 
 from servogen import exact
-from servogen.exact_levels import lexicographic
+from servogen.exact_levels import kept_levels, lexicographic
 from servogen.ir.balls import ZERO, Ball, all_finite, balls, working
 from servogen.ir.numbers import as_fraction
 from servogen.law.steps import STATE, Advance, Apply, Cascade, Limit, Multiply, React, Solve, Step
 from servogen.results import FloatArray, Info, Status
 from servogen.singular import pseudo_cascade, pseudo_solution
 from servogen.textbook import pseudo_inverse
-from servogen.textbook.cascade import solve_cascade
+from servogen.textbook.cascade import solve_cascade, solve_switched
 from servogen.textbook.policy import Policy
 from servogen.verify.exact_steps import admissible, column, rational, sparse_product, transposed_product
 from servogen.verify.vectors import ANY_ANSWER, ANY_RANK, ANY_STATUS
@@ -114,28 +114,48 @@ def _cascade(step: Cascade, at: Surroundings) -> Answer:
     S, z = p.rounded[step.matrix].reshape(m, l).astype(float), p.rounded[step.right].astype(float)
     y = np.zeros(l) if free is None else p.rounded[free] if isinstance(free, str) else free
     y = np.asarray(y, dtype=float)
-    found, info = solve_cascade(S, z, y, step.levels, solver)
+    switches = [(rows, float(np.ravel(at.inputs[n.removeprefix(STATE)])[0])) for n, rows in step.switches]
+    if not all(np.isfinite(a) for _, a in switches):
+        return unknown(l, Status.NONFINITE, 0)
+    _, info = solve_switched(S, z, y, step.levels, switches, solver)
     if info.status < 0:
         return unknown(l, info.status, 0)
-    counted = pseudo_inverse.counted_rows(S, solver)
-    best = lexicographic(exact.rational(counted), exact.rational(z), exact.rational(y), step.levels)
-    if list(best.ranks) == info.level_rank and info.status != Status.REGULARISED:
-        tau, found = column(best.x), exact.nearest(best.x)[:, 0]
-    else:
-        digits = pseudo_cascade(counted, z, y, step.levels, info.level_rank, solver.damping)
-        tau, found = balls(map(as_fraction, digits)), np.array([float(v) for v in digits])
     length = np.where(np.linalg.norm(S, axis=1) > 0, np.linalg.norm(S, axis=1), 1.0)
     S_error = float(np.max(np.linalg.norm(p.bounds[step.matrix].reshape(m, l), axis=1) / length))
-    z_error = float(np.max(p.bounds[step.right].ravel() / length))
     y_error = norm(p.bounds[free]) if isinstance(free, str) else 0.0
-    amplified = amplification(counted, step.levels, info.level_rank)
-    reach, missed = norm(found) + norm(y) + norm(z / length), float(np.max(np.abs(z - S @ found) / length))
+    counted = pseudo_inverse.counted_rows(S, solver)
+    exactly = exact.rational(counted), exact.rational(z), exact.rational(y)
+
+    def answer(there: frozenset[int]) -> tuple[exact.Matrix, float]:
+        """tau without the switches that are not there, and how far the code may be off it."""
+        asked, missable = flint.fmpq_mat(exactly[1]), p.bounds[step.right].ravel() / length
+        for k in there:
+            rows, a = switches[k]
+            if a < 1:
+                before, off = answer(there - {k})
+                part, instead = flint.fmpq(*a.as_integer_ratio()), exact.rational(S) * before
+                for i in rows:
+                    asked[i, 0] = part * exactly[1][i, 0] + (1 - part) * instead[i, 0]
+                    missable[i] += off
+        kept = kept_levels(step.levels, switches, there)
+        right = exact.nearest(asked)[:, 0]
+        ranks = solve_cascade(S, right, y, kept, solver)[1].level_rank
+        best = lexicographic(exactly[0], asked, exactly[2], kept)
+        tau = best.x
+        if list(best.ranks) != ranks or info.status == Status.REGULARISED:
+            digits = pseudo_cascade(counted, right, y, kept, ranks, solver.damping)
+            tau = flint.fmpq_mat(l, 1, [flint.fmpq(*as_fraction(v).as_integer_ratio()) for v in digits])
+        found, factor, own = exact.nearest(tau)[:, 0], amplification(counted, kept, ranks), [i for k in kept for i in k]
+        missed = float(np.max(np.abs(right - S @ found)[own] / length[own], initial=0.0))
+        each = BAR * solver.epsilon + 2 * S_error if S_error * factor < _TRUSTED else np.inf
+        reach = norm(found) + norm(y) + norm(right / length)
+        return tau, float(factor * (each * (reach + factor * missed) + np.max(missable) + 2 * y_error))
+
     with np.errstate(all="ignore"):
-        each = BAR * solver.epsilon + 2 * S_error
-        tolerance = amplified * (each * (reach + amplified * missed) + z_error + 2 * y_error)
-    if not (np.isfinite(tolerance) and S_error * amplified < _TRUSTED):
-        return Answer(tau, np.inf, ANY_ANSWER, ANY_RANK)
-    return Answer(tau, tolerance, info.status, info.rank)
+        tau, tolerance = answer(frozenset(k for k, (_, a) in enumerate(switches) if a > 0))
+    if not np.isfinite(tolerance):
+        return Answer(column(tau), np.inf, ANY_ANSWER, ANY_RANK)
+    return Answer(column(tau), tolerance, info.status, info.rank)
 
 
 def amplification(S: FloatArray, levels: Sequence[Sequence[int]], ranks: Sequence[int]) -> float:

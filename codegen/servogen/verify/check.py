@@ -10,7 +10,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.compiler import build, reference
-from servogen.exact_levels import lexicographic
+from servogen.exact_levels import kept_levels, lexicographic
 from servogen.ir.balls import balls
 from servogen.law.steps import STATE, SYSTEM, Apply, Cascade, Evaluate, Limit, Project, Solve
 from servogen.package import Package
@@ -358,7 +358,7 @@ def _solve_check(case: _Case, compiler: str, steps: _Steps) -> SolveCheck:
             continue
         y, behind, epsilon = _free_vector(case, k), _behind(case, k), EPSILON[case.scalar]
         if isinstance(step, Cascade):
-            error = _cascade_error(step, S, z, y, answer, epsilon, behind)
+            error = _cascade_error(step, case, k, S, z, y, answer, epsilon, behind)
         else:
             error = _solve_error(S, z, y, answer.value, epsilon, behind)
         if error is not None:
@@ -430,6 +430,8 @@ def _solve_error(
 
 def _cascade_error(
     step: Cascade,
+    case: _Case,
+    k: int,
     S: FloatArray,
     z: FloatArray,
     y: FloatArray,
@@ -437,14 +439,20 @@ def _cascade_error(
     epsilon: float,
     behind: exact.Matrix | None,
 ) -> float | None:
-    """The same of priorities, for the exact lexicographic optimum; None where the code has other ranks than it."""
-    best = lexicographic(exact.rational(S), exact.rational(z), exact.rational(y), step.levels)
+    """The same of priorities, for the exact lexicographic optimum; None where the code has other ranks than it, or
+    where a constraint is on its way in or out."""
+    switches = [(rows, float(case.truth.inputs[name.removeprefix(STATE)][k][0])) for name, rows in step.switches]
+    if any(0 < a < 1 for _, a in switches):
+        return None
+    levels = kept_levels(step.levels, switches, frozenset(j for j, (_, a) in enumerate(switches) if a >= 1))
+    best = lexicographic(exact.rational(S), exact.rational(z), exact.rational(y), levels)
     if list(best.ranks) != answer.info.level_rank:
         return None
     S, x = np.asarray(S, dtype=float), exact.nearest(best.x)[:, 0]
     length = np.where(np.linalg.norm(S, axis=1) > 0, np.linalg.norm(S, axis=1), 1.0)
-    factor = amplification(S, step.levels, best.ranks)
-    missed = float(np.max(np.abs(z - S @ x) / length))
+    own = [i for level in levels for i in level]
+    factor = amplification(S, levels, best.ranks)
+    missed = float(np.max(np.abs(z - S @ x)[own] / length[own], initial=0.0))
     reach = float(np.linalg.norm(x)) + float(np.linalg.norm(y)) + factor * missed
     truth = best.x
     if behind is not None:

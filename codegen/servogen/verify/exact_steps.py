@@ -8,7 +8,7 @@ import numpy as np
 
 from servogen import exact
 from servogen.exact_bounds import Optimum, best_within
-from servogen.exact_levels import lexicographic
+from servogen.exact_levels import switched
 from servogen.ir.balls import NAN, ZERO, Ball, all_finite, ball, balls, total, working
 from servogen.law.steps import Apply, Cascade, Evaluate, Limit, Multiply, Pattern, React, Solve, Step
 from servogen.results import FloatArray
@@ -55,10 +55,9 @@ def _cascade(step: Cascade, values: Values) -> list[Ball]:
     free = values.get(step.free, [ZERO] * l)
     if not all_finite(values[step.matrix], values[step.right], free):
         return [NAN] * l
-    best = lexicographic(
-        rational(values[step.matrix], m, l), rational(values[step.right], m, 1), rational(free, l, 1), step.levels
-    )
-    return column(best.x)
+    switches = [(rows, float(values[name][0])) for name, rows in step.switches]
+    system = rational(values[step.matrix], m, l), rational(values[step.right], m, 1), rational(free, l, 1)
+    return column(switched(*system, step.levels, switches).x)
 
 
 def rational(values: list[Ball], rows: int, columns: int) -> exact.Matrix:

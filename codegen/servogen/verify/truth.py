@@ -81,6 +81,7 @@ class Truth:
         formulation, optimised = optimised_scene(scene)
         needing = {q.name for q in formulation.quantities if q.needs_mass} - optimised.free_of_mass
         self.of_mass = frozenset({*needing, MASS_PIVOT, MASS_SCALE})
+        self.joining = formulation.mass.joining
         self.program, self.exact = optimised.program, optimised.exact
         self.names = [o.name for o in self.program.outputs if o.name not in (MASS_PIVOT, MASS_SCALE)]
         self.problems: list[str] = []
@@ -101,7 +102,9 @@ class Truth:
         for k, (values, unoptimised) in enumerate(pairs):
             at = {n: _row(v, k).ravel() for n, v in rounded.items()}
             status = self._status(k, at)
-            refused = self.of_mass if status == Status.SINGULAR_MASS else frozenset()  # divided by what is 0
+            refused = (
+                self.of_mass if status in (Status.SINGULAR_MASS, Status.DEAD_CENTRE) else frozenset()
+            )  # divided by what is 0
             given = {n: v for n, v in values.items() if n not in refused}
             self._compare(k, given, unoptimised)
             limits: dict[str, FloatArray] = {
@@ -123,11 +126,12 @@ class Truth:
         if not self.finite[k]:
             return Status.NONFINITE
         if MASS_PIVOT in at:
-            for pivot, scale in zip(at[MASS_PIVOT], at[MASS_SCALE], strict=True):
+            of_mass = len(at[MASS_PIVOT]) - self.joining
+            for i, (pivot, scale) in enumerate(zip(at[MASS_PIVOT], at[MASS_SCALE], strict=True)):
                 if not np.isfinite(pivot):
                     return Status.OVERFLOW
                 if not pivot > self.dtype(self.module.mass_tolerance) * scale:
-                    return Status.SINGULAR_MASS
+                    return Status.SINGULAR_MASS if i < of_mass else Status.DEAD_CENTRE
         return Status.OK
 
     def _evaluated(self, k: int, names: tuple[str, ...], needs_mass: bool) -> Status:

@@ -1867,7 +1867,10 @@ static DOUBLE_PENDULUM_IDEAL_NOINLINE double double_pendulum_ideal_known_residua
             DOUBLE_PENDULUM_IDEAL_ANSWER_HIGH)) {
         return double_pendulum_ideal_sqrt(square);
     }
-    (void)double_pendulum_ideal_consistent(S, z, y, tau, &residual); /* zero, or something has left the range */
+    if (rest_0 == 0.0 && rest_1 == 0.0) {
+        return 0.0; /* as where S only picks controls */
+    }
+    (void)double_pendulum_ideal_consistent(S, z, y, tau, &residual); /* something has left the range */
     return residual;
 }
 

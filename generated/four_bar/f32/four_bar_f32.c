@@ -618,9 +618,10 @@ static int four_bar_f32_finite(const float *x, int n)
     return four_bar_f32_largest(x, n) < FOUR_BAR_F32_INFINITY_BITS;
 }
 
-/* FOUR_BAR_F32_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
-   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
-static int four_bar_f32_mass_status(const float *pivot, const float *scale, int n)
+/* FOUR_BAR_F32_OK where every pivot is above the rounding noise of its scale: the first of_mass are those of Q beside
+   its diagonal entries, the others those of the passive constraints. They come in the order of elimination, and the
+   first bad one decides: those behind it have been divided by noise. */
+static int four_bar_f32_mass_status(const float *pivot, const float *scale, int n, int of_mass)
 {
     int k;
     for (k = 0; k < n; ++k) {
@@ -628,7 +629,7 @@ static int four_bar_f32_mass_status(const float *pivot, const float *scale, int 
             return FOUR_BAR_F32_OVERFLOW;
         }
         if (!(pivot[k] > 3.5762787e-7f * scale[k])) {
-            return FOUR_BAR_F32_SINGULAR_MASS;
+            return k < of_mass ? FOUR_BAR_F32_SINGULAR_MASS : FOUR_BAR_F32_DEAD_CENTRE;
         }
     }
     return FOUR_BAR_F32_OK;
@@ -737,7 +738,7 @@ static void four_bar_f32_eval_S(const four_bar_f32_model *model, const four_bar_
     const float t61 = t13 - t60;
     /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t61;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t12;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t28;
@@ -885,7 +886,7 @@ static void four_bar_f32_eval_z(const four_bar_f32_model *model, const four_bar_
     const float t118 = t98 + t117;
     /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t15;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t31;
@@ -1036,7 +1037,7 @@ static void four_bar_f32_eval_S_z(const four_bar_f32_model *model, const four_ba
     S[0] = t68;
     /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t15;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t31;
@@ -1212,7 +1213,7 @@ static void four_bar_f32_eval_lam(const four_bar_f32_model *model, const four_ba
     /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j) */
     lam[0] = (-t143);
     lam[1] = (-t141);
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t13;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t29;
@@ -1331,7 +1332,7 @@ int four_bar_f32_prepare(const four_bar_f32_params *params, four_bar_f32_model *
         mass_pivot[1] = t8;
         mass_scale[1] = t8;
     }
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 2);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 2, 2);
     if (status < 0) {
         return status;
     }
@@ -1412,7 +1413,7 @@ int four_bar_f32_S(const four_bar_f32_model *model, const four_bar_f32_input *in
         return four_bar_f32_reason(FOUR_BAR_F32_NONFINITE, in);
     }
     four_bar_f32_eval_S(model, in, new_S, mass_pivot, mass_scale);
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_f32_reason(status, in);
     }
@@ -1432,7 +1433,7 @@ int four_bar_f32_z(const four_bar_f32_model *model, const four_bar_f32_input *in
         return four_bar_f32_reason(FOUR_BAR_F32_NONFINITE, in);
     }
     four_bar_f32_eval_z(model, in, new_z, mass_pivot, mass_scale);
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_f32_reason(status, in);
     }
@@ -1453,7 +1454,7 @@ int four_bar_f32_S_z(const four_bar_f32_model *model, const four_bar_f32_input *
         return four_bar_f32_reason(FOUR_BAR_F32_NONFINITE, in);
     }
     four_bar_f32_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_f32_reason(status, in);
     }
@@ -1474,7 +1475,7 @@ int four_bar_f32_lam(const four_bar_f32_model *model, const four_bar_f32_input *
         return four_bar_f32_reason(FOUR_BAR_F32_NONFINITE, in);
     }
     four_bar_f32_eval_lam(model, in, new_lam, mass_pivot, mass_scale);
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_f32_reason(status, in);
     }
@@ -1532,7 +1533,7 @@ int four_bar_f32_control(const four_bar_f32_model *model, const four_bar_f32_inp
         return four_bar_f32_failed(FOUR_BAR_F32_NONFINITE, in, info);
     }
     four_bar_f32_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_f32_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_f32_failed(status, in, info);
     }

@@ -23,7 +23,8 @@ enum four_bar_f32_status {
     /* Q is singular, or not positive definite as it was over the domain; outputs untouched */
     FOUR_BAR_F32_SINGULAR_MASS = -2,
     FOUR_BAR_F32_NOT_CONVERGED = -3, /* an iteration met its cap; outputs untouched */
-    FOUR_BAR_F32_OVERFLOW = -4 /* a result is not a finite number of this type; outputs untouched */
+    FOUR_BAR_F32_OVERFLOW = -4, /* a result is not a finite number of this type; outputs untouched */
+    FOUR_BAR_F32_DEAD_CENTRE = -6 /* the passive constraints lose rank, no motion is determined; outputs untouched */
 };
 
 /* How the answer was found. */
@@ -92,7 +93,7 @@ typedef struct four_bar_f32_input {
 
 /* Fills the model; call once, and whenever a parameter changes. Cost: 21 operations (16 mul, 3 div, 2 add).
    Returns OK; NONFINITE for a NaN or infinity among the parameters, OVERFLOW where a derived value is not
-   finite, SINGULAR_MASS as above: then the model is as it was. */
+   finite, SINGULAR_MASS or DEAD_CENTRE as above: then the model is as it was. */
 int four_bar_f32_prepare(const four_bar_f32_params *params, four_bar_f32_model *model);
 
 /* psi = psi(q, u, t), Eq. (3), [1*1].
@@ -104,25 +105,25 @@ int four_bar_f32_psi(const four_bar_f32_model *model, const four_bar_f32_input *
 /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T, [1*1].
    Cost: 65 operations (39 mul, 10 add, 7 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (as above). */
+   finite), SINGULAR_MASS or DEAD_CENTRE (as above). */
 int four_bar_f32_S(const four_bar_f32_model *model, const four_bar_f32_input *in, float *S);
 
 /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi, [1*1].
    Cost: 122 operations (74 mul, 24 add, 15 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (as above). */
+   finite), SINGULAR_MASS or DEAD_CENTRE (as above). */
 int four_bar_f32_z(const four_bar_f32_model *model, const four_bar_f32_input *in, float *z);
 
 /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T, [1*1]; z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X +
    Theta psi, [1*1]. Cost: 122 operations (74 mul, 24 add, 15 sub, 3 cos, 3 div, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (as above). */
+   finite), SINGULAR_MASS or DEAD_CENTRE (as above). */
 int four_bar_f32_S_z(const four_bar_f32_model *model, const four_bar_f32_input *in, float *S, float *z);
 
 /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j), [2*1].
    Cost: 147 operations (89 mul, 28 add, 19 sub, 5 div, 3 cos, 3 sin).
    Returns OK, or with the outputs untouched NONFINITE (NaN or infinity in *in), OVERFLOW (a result is not
-   finite), SINGULAR_MASS (as above). */
+   finite), SINGULAR_MASS or DEAD_CENTRE (as above). */
 int four_bar_f32_lam(const four_bar_f32_model *model, const four_bar_f32_input *in, float *lam);
 
 /* closure = chi, and chi' of holonomic rows, [4*1].

@@ -653,9 +653,10 @@ static int four_bar_finite(const double *x, int n)
     return four_bar_largest(x, n) < FOUR_BAR_INFINITY_BITS;
 }
 
-/* FOUR_BAR_OK where every pivot of Q is above the rounding noise of its diagonal entry, scale. Pivots come in the
-   order of elimination, and the first bad one decides: those behind it have been divided by noise. */
-static int four_bar_mass_status(const double *pivot, const double *scale, int n)
+/* FOUR_BAR_OK where every pivot is above the rounding noise of its scale: the first of_mass are those of Q beside its
+   diagonal entries, the others those of the passive constraints. They come in the order of elimination, and the first
+   bad one decides: those behind it have been divided by noise. */
+static int four_bar_mass_status(const double *pivot, const double *scale, int n, int of_mass)
 {
     int k;
     for (k = 0; k < n; ++k) {
@@ -663,7 +664,7 @@ static int four_bar_mass_status(const double *pivot, const double *scale, int n)
             return FOUR_BAR_OVERFLOW;
         }
         if (!(pivot[k] > 6.661338147750939e-16 * scale[k])) {
-            return FOUR_BAR_SINGULAR_MASS;
+            return k < of_mass ? FOUR_BAR_SINGULAR_MASS : FOUR_BAR_DEAD_CENTRE;
         }
     }
     return FOUR_BAR_OK;
@@ -772,7 +773,7 @@ static void four_bar_eval_S(const four_bar_model *model, const four_bar_input *i
     const double t61 = t13 - t60;
     /* S = psi_u N G, N = Q^-1 - Q^-1 J^T A^-1 J Q^-1, A = J Q^-1 J^T */
     S[0] = t61;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t12;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t28;
@@ -920,7 +921,7 @@ static void four_bar_eval_z(const four_bar_model *model, const four_bar_input *i
     const double t118 = t98 + t117;
     /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t15;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t31;
@@ -1071,7 +1072,7 @@ static void four_bar_eval_S_z(const four_bar_model *model, const four_bar_input 
     S[0] = t68;
     /* z = -psi_u N P + psi_u Q^-1 J^T A^-1 j - X + Theta psi */
     z[0] = t118;
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t15;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t31;
@@ -1247,7 +1248,7 @@ static void four_bar_eval_lam(const four_bar_model *model, const four_bar_input 
     /* lam = -(J Q^-1 J^T)^-1 (J Q^-1 (P + G tau) + j) */
     lam[0] = (-t143);
     lam[1] = (-t141);
-    /* the pivots of Q, and the diagonal entries that they must not be negligible beside */
+    /* the pivots of Q and of the passive constraints, and what they must not be negligible beside */
     mass_pivot[0] = t13;
     mass_scale[0] = model->c1;
     mass_pivot[1] = t29;
@@ -1366,7 +1367,7 @@ int four_bar_prepare(const four_bar_params *params, four_bar_model *model)
         mass_pivot[1] = t8;
         mass_scale[1] = t8;
     }
-    status = four_bar_mass_status(mass_pivot, mass_scale, 2);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 2, 2);
     if (status < 0) {
         return status;
     }
@@ -1447,7 +1448,7 @@ int four_bar_S(const four_bar_model *model, const four_bar_input *in, double *S)
         return four_bar_reason(FOUR_BAR_NONFINITE, in);
     }
     four_bar_eval_S(model, in, new_S, mass_pivot, mass_scale);
-    status = four_bar_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_reason(status, in);
     }
@@ -1467,7 +1468,7 @@ int four_bar_z(const four_bar_model *model, const four_bar_input *in, double *z)
         return four_bar_reason(FOUR_BAR_NONFINITE, in);
     }
     four_bar_eval_z(model, in, new_z, mass_pivot, mass_scale);
-    status = four_bar_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_reason(status, in);
     }
@@ -1488,7 +1489,7 @@ int four_bar_S_z(const four_bar_model *model, const four_bar_input *in, double *
         return four_bar_reason(FOUR_BAR_NONFINITE, in);
     }
     four_bar_eval_S_z(model, in, new_S, new_z, mass_pivot, mass_scale);
-    status = four_bar_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_reason(status, in);
     }
@@ -1509,7 +1510,7 @@ int four_bar_lam(const four_bar_model *model, const four_bar_input *in, double *
         return four_bar_reason(FOUR_BAR_NONFINITE, in);
     }
     four_bar_eval_lam(model, in, new_lam, mass_pivot, mass_scale);
-    status = four_bar_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_reason(status, in);
     }
@@ -1565,7 +1566,7 @@ int four_bar_control(const four_bar_model *model, const four_bar_input *in, doub
         return four_bar_failed(FOUR_BAR_NONFINITE, in, info);
     }
     four_bar_eval_S_z(model, in, S, z, mass_pivot, mass_scale);
-    status = four_bar_mass_status(mass_pivot, mass_scale, 3);
+    status = four_bar_mass_status(mass_pivot, mass_scale, 3, 1);
     if (status < 0) {
         return four_bar_failed(status, in, info);
     }

@@ -1882,7 +1882,10 @@ static SKEWED_THRUSTERS_F32_NOINLINE float skewed_thrusters_f32_known_residual(c
             SKEWED_THRUSTERS_F32_ANSWER_HIGH)) {
         return skewed_thrusters_f32_sqrt(square);
     }
-    (void)skewed_thrusters_f32_consistent(S, z, y, tau, &residual); /* zero, or something has left the range */
+    if (rest_0 == 0.0f && rest_1 == 0.0f && rest_2 == 0.0f && rest_3 == 0.0f && rest_4 == 0.0f && rest_5 == 0.0f) {
+        return 0.0f; /* as where S only picks controls */
+    }
+    (void)skewed_thrusters_f32_consistent(S, z, y, tau, &residual); /* something has left the range */
     return residual;
 }
 

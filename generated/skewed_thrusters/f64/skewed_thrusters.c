@@ -1869,7 +1869,10 @@ static SKEWED_THRUSTERS_NOINLINE double skewed_thrusters_known_residual(const do
             SKEWED_THRUSTERS_ANSWER_HIGH)) {
         return skewed_thrusters_sqrt(square);
     }
-    (void)skewed_thrusters_consistent(S, z, y, tau, &residual); /* zero, or something has left the range */
+    if (rest_0 == 0.0 && rest_1 == 0.0 && rest_2 == 0.0 && rest_3 == 0.0 && rest_4 == 0.0 && rest_5 == 0.0) {
+        return 0.0; /* as where S only picks controls */
+    }
+    (void)skewed_thrusters_consistent(S, z, y, tau, &residual); /* something has left the range */
     return residual;
 }
 

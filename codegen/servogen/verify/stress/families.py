@@ -467,9 +467,9 @@ def _is_wide(m: int, l: int) -> bool:
 
 SVD, RAW, COD = Solver(method="svd"), Solver(rank="raw"), Solver(method="cod")
 GAP = Solver(rank="raw", rtol=2.0**-12)
-OF_COD = ((2, 2), (2, 3), (3, 7), (7, 3), (6, 12), (12, 12))
 CORE = "SVD core"
 """The family that calls the SVD inside alone, and no solver."""
+OF_COD = ((2, 2), (2, 3), (3, 7), (7, 3), (6, 12), (12, 12))
 
 FAMILIES: dict[str, Family] = {
     "dlatms spectra": Family(_spectra, _is_wide),
