@@ -318,8 +318,8 @@ def _check_kinds(scene: Scene) -> None:
     if scene.solver.method == "cod" and scene.cascaded:
         raise SceneError(
             f"scene {scene.name!r}: Solver(method='cod') and priorities or active='input': what is left to a level "
-            "is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority and leave "
-            "them active"
+            "is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority and "
+            "leave them active"
         )
     names = [c.name for c in scene.constraints]
     for name in names:
