@@ -310,6 +310,12 @@ def _check_kinds(scene: Scene) -> None:
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
         )
+    for word, usual in (("method", "cod"), ("sigma_min", "exact")):
+        if scene.cascaded and getattr(scene.solver, word) == usual:
+            raise SceneError(
+                f"scene {scene.name!r}: sg.Solver({word}={usual!r}) with priorities or with active='input' is not "
+                f"built; leave out {word}"
+            )
     if scene.mode == "ideal" and scene.cascaded:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
