@@ -310,16 +310,21 @@ def _check_kinds(scene: Scene) -> None:
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
         )
-    for word, usual in (("method", "cod"), ("sigma_min", "exact")):
-        if scene.cascaded and getattr(scene.solver, word) == usual:
-            raise SceneError(
-                f"scene {scene.name!r}: sg.Solver({word}={usual!r}) with priorities or with active='input' is not "
-                f"built; leave out {word}"
-            )
+    if scene.solver.sigma_min == "exact" and scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: Solver(sigma_min='exact') with priorities or with active='input' is not built; "
+            "leave out sigma_min"
+        )
     if scene.mode == "ideal" and scene.cascaded:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
             "leave mode at 'servo', or give all constraints one priority and no active='input'"
+        )
+    if scene.solver.method == "cod" and scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: Solver(method='cod') and priorities or active='input': what is left to a level "
+            "is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority and "
+            "leave them active"
         )
     names = [c.name for c in scene.constraints]
     for name in names:
