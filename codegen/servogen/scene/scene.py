@@ -310,6 +310,11 @@ def _check_kinds(scene: Scene) -> None:
             f"scene {scene.name!r} mixes controls-involved constraints ({involved[0]!r}) with others ({other!r}); "
             "make two scenes of them: the first gives tau', the second tau"
         )
+    if scene.solver.sigma_min == "exact" and scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: Solver(sigma_min='exact') with priorities or with active='input' is not built; "
+            "leave out sigma_min"
+        )
     if scene.mode == "ideal" and scene.cascaded:
         raise SceneError(
             f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
