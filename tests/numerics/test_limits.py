@@ -410,3 +410,16 @@ def test_the_error_dynamics_slow_down_no_more_than_they_must(tmp_path) -> None:
         assert np.allclose(S @ tau, z - (1 - scale) * slow, atol=1e-12)
     assert slowed > 2
     assert stuck > 2
+
+
+def test_a_row_that_no_control_reaches_may_slow_down(tmp_path) -> None:
+    """What it asks for is met at a standstill where it is z_1 alone, and by nothing where it is not."""
+    solve, S = _with_more(2, 2, True, False, tmp_path), np.array([[-1.0, 1.0], [0.0, 0.0]])
+    low, y = np.ones(2), np.zeros(2)
+    status, tau, scale = solve(S, np.array([0.0, -1.0]), y, low, np.array([2.0, 3.0]), np.array([0.0, -1.0]))
+    assert (status, scale) == (sg.Status.LIMITED, 0)
+    assert np.array_equal(tau, [1, 1])
+    S, z, slow = np.array([[-3.0, -1.0], [0.0, 0.0]]), np.array([3.0, 3.0]), np.array([3.0, 0.0])
+    status, tau, scale = solve(S, z, np.array([1.0, -1.0]), np.array([-2.0, 0.0]), np.array([-1.0, 2.0]), slow)
+    assert (status, scale) == (sg.Status.LIMITED_INCONSISTENT, 0)
+    assert np.array_equal(tau, [-1, 2])

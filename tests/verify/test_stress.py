@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import servogen as sg
 from click.testing import CliRunner
 from servogen import exact
 from servogen.cli.main import cli
@@ -90,6 +91,26 @@ def test_certificates_and_strict_compilers(need_tool, monkeypatch):
     assert figures[bars.LOW_BOUND] > 500
     assert figures[bars.IDLE] > 0
     assert figures[bars.COMPLAINTS] == 2
+
+
+def test_limits_and_answers_that_are_not_the_best(monkeypatch):
+    """A campaign's families of limits on one shape; a solver that only clips is found out."""
+    from servogen.verify.stress import bench, families
+
+    names = tuple(name for name in families.FAMILIES if name.startswith("limits: "))
+    for name in names:
+        monkeypatch.setitem(families.FAMILIES, name, dataclasses.replace(families.FAMILIES[name], shapes=((2, 3),)))
+    assert stress.stress(systems=20, families=names, scalars=("float64",)).passed
+
+    class Clipping:
+        def solve(self, S, z, y, lower, upper, last, active):
+            tau, info = sg.build_solver(2, 3).load().solve(S, z, y)
+            mask = np.zeros(len(tau), int)
+            return np.clip(tau, lower, upper), dataclasses.replace(info, active=mask)
+
+    monkeypatch.setattr(bench, "built_with_limits", lambda m, l, scalar: Clipping())
+    found = failures(stress.stress(systems=20, families=("limits: random",), scalars=("float64",)))
+    assert {bars.OPTIMUM, bars.TAU_WITHIN, bars.FALSE_OPTIMUM} <= {quantity for _, quantity, *_ in found}
 
 
 # ---- the same again, and going on --------------------------------------------------------------------------------

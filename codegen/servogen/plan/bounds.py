@@ -22,6 +22,12 @@ REACH = 8
 """eps times this: how far, relative to the largest number in play, a free control may come out beyond its limit before
 it counts as beyond; it is then put at the limit."""
 
+TURNS = 4
+"""Turns of the guess for each control; it mostly takes one for each at a limit and a few more."""
+
+PASSES = 6
+"""Refinements of a guess's answer, the first of which finds it; it mostly stands after the third."""
+
 CERTAIN = 32
 """max(m, l) eps times this: what the certificate allows the sums to miss."""
 
@@ -45,7 +51,38 @@ class BoundPlan:
     spent: float
     reach: float
     loose: float
+    little: float
     certain: float
+
+    @property
+    def guessed(self) -> bool:
+        """Whether a guess is made before the search: not where a control's distance from y is not its own."""
+        return 1 < self.m <= self.l and not self.slowed and not self.metric
+
+    @property
+    def turns(self) -> int:
+        """Of the guess, at most."""
+        return TURNS * self.l
+
+    @property
+    def passes(self) -> int:
+        """Of the refinement of a guess's answer, at most."""
+        return PASSES
+
+    @property
+    def lightest(self) -> int:
+        """A row's square weighs nothing where it is lighter by two to this."""
+        return 2 * self.looseness
+
+    @property
+    def looseness(self) -> int:
+        """loose is two to the minus this."""
+        return round(-math.log2(self.loose))
+
+    @property
+    def littleness(self) -> int:
+        """little is two to the minus this."""
+        return round(-math.log2(self.little))
 
     @property
     def rows(self) -> int:
@@ -64,6 +101,7 @@ class BoundPlan:
             "spent": self.spent,
             "reach": self.reach,
             "loose": self.loose,
+            "little": self.little,
             "certain": self.certain,
         }
 
@@ -93,5 +131,6 @@ def plan_bounds(law: Law, solvers: dict[str, SolverPlan]) -> BoundPlan | None:
         spent=SPENT * solver.rtol,
         reach=REACH * solver.epsilon,
         loose=math.ldexp(1.0, int(math.log2(solver.epsilon)) // 2),
+        little=math.ldexp(1.0, int(math.log2(solver.epsilon)) // 3),
         certain=CERTAIN * longest * solver.epsilon,
     )

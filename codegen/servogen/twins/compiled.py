@@ -371,7 +371,9 @@ class _Solver:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.m}x{self.l} matrices, {self.dtype}>"
 
-    def _solve(self, S: Any, z: Any, y: Any, limits: tuple[Any, ...], last: Any) -> tuple[FloatArray, Info]:
+    def _solve(
+        self, S: Any, z: Any, y: Any, limits: tuple[Any, ...], last: Any, active: Any = 0
+    ) -> tuple[FloatArray, Info]:
         S, many = self._stack(S, (self.m, self.l), "S")
         z, _ = self._stack(z, (self.m,), "z", len(S))
         y = None if y is None else self._stack(y, (self.l,), "y", len(S))[0]
@@ -379,7 +381,7 @@ class _Solver:
             np.zeros((len(S), self.l), self.dtype) if last is None else self._stack(last, (self.l,), "last", len(S))[0]
         )
         stacks = [self._limit(name, given, len(S)) for name, given in zip(("lower", "upper"), limits, strict=False)]
-        return self._call("solve_stack", many, [S, z, y, *stacks], tau.copy())
+        return self._call("solve_stack", many, [S, z, y, *stacks], tau.copy(), active)
 
     def _limit(self, name: str, given: Any, count: int) -> FloatArray:
         """A limit of each system, from one for all of them."""
@@ -406,8 +408,12 @@ class _Solver:
             raise ValueError(f"{name} has shape {array.shape}; it must be {shape}, or a stack of them as long as S's")
         return stacked, many
 
-    def _call(self, entry: str, many: bool, arrays: list[Any], out: FloatArray) -> tuple[FloatArray, Info]:
+    def _call(
+        self, entry: str, many: bool, arrays: list[Any], out: FloatArray, active: Any = 0
+    ) -> tuple[FloatArray, Info]:
         info = np.zeros(len(out), self._info_type)
+        if "active" in (self._info_type.names or ()):
+            info["active"] = active
         pointers = [ct.c_void_p(None if a is None else a.ctypes.data) for a in arrays]
         function = getattr(self._library, f"{self._prefix}_{entry}")
         function.restype = None
@@ -434,10 +440,18 @@ class LimitedSolver(_Solver):
     """The pseudo-inverse alone, its answer within limits of tau: one system, or a stack of N."""
 
     def solve(
-        self, S: Any, z: Any, y: Any = None, lower: Any = -np.inf, upper: Any = np.inf, last: Any = None
+        self,
+        S: Any,
+        z: Any,
+        y: Any = None,
+        lower: Any = -np.inf,
+        upper: Any = np.inf,
+        last: Any = None,
+        active: Any = 0,
     ) -> tuple[FloatArray, Info]:
         """The best tau with lower <= tau <= upper (numerics.md: Limits). S: (m, l), z: (m,), the rest: (l,).
 
-        Each with N in front for a stack; a limit may be a number or (l,) there, too.
+        Each with N in front for a stack; a limit may be a number or (l,) there, too. active: `info.active` of a system
+        close to this one, or one for each: while it is right, the answer comes sooner; it is the same in any case.
         """
-        return self._solve(S, z, y, (lower, upper), last)
+        return self._solve(S, z, y, (lower, upper), last, active)

@@ -29,6 +29,11 @@ HIGH_BOUND = "bounds of sigma_min above it"
 LOW_BOUND = "bounds of sigma_min below a tenth of it"
 IDLE = "steps that never gave a certificate"
 COMPLAINTS = "compilers that complain"
+OPTIMUM = "(|S tau - z| - least) / (eps kappa (|S| (|tau| + |y|) + |z|))"
+TAU_WITHIN = "error of tau within limits / (eps kappa (|tau| + |y| + |z_i| / |S_i|))"
+FALSE_OPTIMUM = "false certificates of an optimum"
+BEYOND = "tau beyond a limit"
+WARM = "answers that a hint changes"
 NEAR = "residual / (rtol |S| (|x| + |tau|)), z = S x"
 
 BARS: dict[str, float] = {
@@ -55,6 +60,11 @@ BARS: dict[str, float] = {
     LOW_BOUND: 0,
     IDLE: 0,
     COMPLAINTS: 0,
+    OPTIMUM: 4,
+    TAU_WITHIN: 8,
+    FALSE_OPTIMUM: 0,
+    BEYOND: 0,
+    WARM: 0,
     NEAR: 10,  # singular values up to 10 rtol may be cut off
 }
 

@@ -29,6 +29,12 @@ class SolverTwin(Protocol):
     def pinv(self, S: Any, last: Any = None) -> tuple[Any, Any]: ...
 
 
+class LimitedTwin(Protocol):
+    """What `servogen.build_solver(..., limits=True).load()` gives."""
+
+    def solve(self, S: Any, z: Any, y: Any, lower: Any, upper: Any, last: Any, active: Any) -> Any: ...
+
+
 MakeTwin = Callable[[int, int, Scalar, Solver], SolverTwin]
 
 
@@ -37,6 +43,12 @@ def built(m: int, l: int, scalar: Scalar, solver: Solver) -> SolverTwin:
     """The generated and compiled package for one shape."""
     package = build_solver(m, l, scalar=scalar, solver=solver)
     return cast(SolverTwin, package.load(flags=("-O1",)))  # the bits are those of any level
+
+
+@functools.cache
+def built_with_limits(m: int, l: int, scalar: Scalar) -> LimitedTwin:
+    """The generated and compiled package for one shape, its answer within limits."""
+    return cast(LimitedTwin, build_solver(m, l, scalar=scalar, limits=True).load(flags=("-O1",)))
 
 
 @dataclass(frozen=True)
@@ -82,6 +94,21 @@ class Bench:
     def pinv(self, S: FloatArray, last: FloatArray | None = None) -> tuple[FloatArray, Columns]:
         matrix, info = self.twin.pinv(S, last)
         return np.asarray(matrix), _columns(info)
+
+    def solve_within(
+        self,
+        S: FloatArray,
+        z: FloatArray,
+        y: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+        active: Any = 0,
+        last: FloatArray | None = None,
+    ) -> tuple[FloatArray, Columns]:
+        """Within limits; active: masks of who may be at one."""
+        twin = built_with_limits(self.task.m, self.task.l, self.task.scalar)
+        tau, info = twin.solve(S, z, y, lower=lower, upper=upper, last=last, active=active)
+        return np.asarray(tau), _columns(info) | {"active": np.asarray(info.active)}
 
     def round(self, A: NDArray[Any]) -> FloatArray:
         """To the target type: what is fed, and what the truth is made from."""

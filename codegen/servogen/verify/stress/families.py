@@ -38,6 +38,7 @@ from servogen.verify.stress.bars import (
 from servogen.verify.stress.bench import Bench, MakeTwin, Task, answers
 from servogen.verify.stress.compilers import complaints
 from servogen.verify.stress.false_certificates import false_certificates
+from servogen.verify.stress.limited import LIMITED, System, crossed, within_limits
 from servogen.verify.stress.matrices import classical, integer_factors, nearly_deficient, spectra, with_spectra
 from servogen.verify.stress.rationals import accuracy, decided_exactly, error, length, over
 from servogen.verify.stress.regressions import REGRESSIONS
@@ -465,6 +466,14 @@ def _is_wide(m: int, l: int) -> bool:
     return m <= l
 
 
+LIMITED_SHAPES = ((1, 3), (3, 2), (3, 4), (4, 6), (3, 7), (6, 7), (6, 12))
+_Draw = Callable[[Generator, int, int, int], System]
+
+
+def _limited(draw: _Draw, shapes: tuple[tuple[int, int], ...] = LIMITED_SHAPES) -> Family:
+    return Family(lambda task, bench: within_limits(task, bench, draw), shapes=shapes, part=100, long=True)
+
+
 SVD, RAW, COD = Solver(method="svd"), Solver(rank="raw"), Solver(method="cod")
 GAP = Solver(rank="raw", rtol=2.0**-12)
 CORE = "SVD core"
@@ -494,6 +503,8 @@ FAMILIES: dict[str, Family] = {
     "2x2 of 0 and +-1": Family(_small_integers, lambda m, l: (m, l) == (2, 2), finite=True),
     "subnormal 2x2": Family(_subnormal, lambda m, l: (m, l) == (2, 2), finite=True),
     "regressions": Family(_regressions, finite=True, shapes=tuple(sorted({r.shape for r in REGRESSIONS}))),
+    **{f"limits: {name}": _limited(draw) for name, draw in LIMITED.items()},
+    "limits: crossed and NaN": Family(crossed, shapes=LIMITED_SHAPES, part=1000, long=True),
     "certificates": Family(
         _certificates,
         shapes=((2, 2), (2, 3), (3, 4), (3, 7), (6, 7), (6, 12)),
