@@ -307,6 +307,9 @@ def test_like_the_textbook(shape, solver, scalar):
         low = {Path.NORMAL: 0.1, Path.QR: 0.1, Path.SVD: share}.get(
             info.path, 1.0
         )  # of S in one unit the SVD's is exact
+        if solver.method == "cod" and info.rank < min(m, l) > 1:  # the bound that needs no singular value
+            assert info.sigma_min == 0
+            low = 0.0
         noise = 20 * plan.epsilon * max(sigma[0], 1e-30)
         assert low * textbook.sigma_min - noise <= info.sigma_min <= textbook.sigma_min + noise
         assert info.residual == pytest.approx(textbook.residual, abs=40 * plan.epsilon * kappa * (size * sigma[0] + 1))
