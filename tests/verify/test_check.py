@@ -104,15 +104,15 @@ def test_truth_is_the_physics():
 
 def test_a_wrong_derivation_fails(monkeypatch):
     """Truth and C come of one derivation; the textbook reference tells when that is wrong."""
-    from servogen.derive import servo
+    from servogen.derive import rows
 
-    rows = servo._rows
+    right = rows.row_of
 
-    def flipped(scene, constraint, gauge):
-        psi, J, X, prescribed = rows(scene, constraint, gauge)
-        return psi, J, -X, prescribed
+    def flipped(*given):
+        psi, J, X, *rest = right(*given)
+        return psi, J, -X, *rest
 
-    monkeypatch.setattr(servo, "_rows", flipped)
+    monkeypatch.setattr(rows, "row_of", flipped)
     monkeypatch.setattr(check_module, "HOST_COMPILERS", ("gcc",))
     report = check([pulled({"a": lambda q, u: u[0] ** 2 + q[0] * u[1]})], states=STATES)  # derived nowhere before
     assert any("z of the textbook formulas" in p for p in report.problems)
