@@ -106,10 +106,10 @@ def test_a_wrong_derivation_fails(monkeypatch):
     """Truth and C come of one derivation; the textbook reference tells when that is wrong."""
     from servogen.derive import rows
 
-    row_of = rows.row_of
+    right = rows.row_of
 
     def flipped(*given):
-        psi, J, X, *rest = row_of(*given)
+        psi, J, X, *rest = right(*given)
         return psi, J, -X, *rest
 
     monkeypatch.setattr(rows, "row_of", flipped)
