@@ -61,8 +61,10 @@ def one_compilation_a_source(tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
     def compile_once(command: Sequence[str], flags: Sequence[str], more: Sequence[str], what: str) -> None:
         words = [*flags, *more]
-        texts = [Path(word).read_bytes() for word in words if word.endswith(".c")]
-        texts += [h.read_bytes() for word in words if word.startswith("-I") for h in sorted(Path(word[2:]).glob("*.h"))]
+        sources = [Path(word) for word in words if word.endswith(".c")]
+        folders = [Path(word[2:]) for word in words if word.startswith("-I")] + [file.parent for file in sources]
+        headers = [file for where in dict.fromkeys(folders) for file in sorted(where.glob("*.h"))]
+        texts = [file.read_bytes() for file in (*sources, *headers)]
         said = command, [w for w in words if not w.startswith(("-I", "/"))], [hashlib.sha256(t).digest() for t in texts]
         file, library = folder / hashlib.sha256(repr(said).encode()).hexdigest(), Path(more[more.index("-o") + 1])
         if file.exists():

@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 PYTHON = (ROOT / "codegen" / "docs" / "python.md").read_text()
 
+DEGREES = (ROOT / "codegen" / "docs" / "relative_degree.md").read_text()
+
 BATCHES = (ROOT / "codegen" / "docs" / "batches.md").read_text()
 
 
@@ -76,6 +78,13 @@ def test_the_simulation_of_the_docs_runs_as_they_say(tmp_path):
     assert told["stop"]["event"] == "end of the track"
     assert told["constraint_error"] < 1e-9
     assert told["decay_error"]["lag"] < 1e-9
+
+
+def test_the_cars_of_the_docs_are_as_they_say(capsys):
+    exec(block("python", DEGREES), {})
+    said = capsys.readouterr().out
+    assert "relative degree: 'first' 4\n" in said
+    assert "psi is a flat output" in said
 
 
 def test_the_batches_of_the_docs_run_as_they_say(tmp_path):

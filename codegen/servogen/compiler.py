@@ -12,6 +12,7 @@ from servogen.derive.formulation import Formulation, MassTreatment, Quantity
 from servogen.derive.lie import Drift
 from servogen.derive.lower import lower, lower_model, lower_quantities
 from servogen.derive.plant import derive_plant
+from servogen.derive.rows import behind
 from servogen.errors import SceneError
 from servogen.ir.program import Program
 from servogen.law.law import offered
@@ -22,6 +23,7 @@ from servogen.plan.planner import plan, plan_functions, plan_solver_only
 from servogen.remarks import say
 from servogen.render.render import render, render_with_core
 from servogen.scalars import EPSILON, Scalar
+from servogen.scene.constraints import Constraint, Output
 from servogen.scene.names import check_file_name
 from servogen.scene.review import review
 from servogen.scene.samples import draw_samples
@@ -120,10 +122,12 @@ def derived_scene(scene: Scene) -> tuple[Formulation, Program]:
     return replace(formulation, remarks=told), lowered
 
 
-def motion_of(scene: Scene) -> Drift:
-    """The scene's motion at tau = 0, to differentiate along."""
+def motion_of(scene: Scene, constraint: Constraint) -> Drift:
+    """The motion to differentiate a constraint along: at tau = 0, or as the rows that it stands behind prescribe."""
     samples = draw_samples(scene)
-    return Drift(samples, survey_mass(samples, lower_model(scene)))
+    found = survey_mass(samples, lower_model(scene))
+    apart = behind(samples, found) if isinstance(constraint, Output) else None
+    return apart.drift if apart is not None and constraint.name in apart.names else Drift(samples, found)
 
 
 def noise_of(scene: Scene, scalar: Scalar, without: frozenset[str] = frozenset()) -> tuple[float, ...] | None:

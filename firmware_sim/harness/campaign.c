@@ -13,7 +13,7 @@
 #include "print.h"
 #include SERVOGEN_CAMPAIGN_HEADER
 
-enum { LOWEST = -5, STATUSES = 11, PAINT_EVERY = 8 };
+enum { LOWEST = CAMPAIGN_LOWEST, STATUSES = CAMPAIGN_STATUSES, PAINT_EVERY = 8 };
 
 /* A bijection of 32 bits without pattern (Wellons' lowbias32). */
 static uint32_t mix(uint32_t x)

@@ -9,7 +9,6 @@
 #define SERVOGEN_SIMULATE_LOOP_H
 
 #include <stdint.h>
-#include <string.h>
 
 #include "scalar.h"
 
@@ -102,7 +101,10 @@ int sim_integrate(sim_loop *loop, real t);
 
 static inline void sim_copy(const real *from, real *to, int n)
 {
-    memcpy(to, from, (size_t)n * sizeof *to);
+    int k;
+    for (k = 0; k < n; ++k) {
+        to[k] = from[k];
+    }
 }
 
 #endif

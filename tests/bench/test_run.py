@@ -12,6 +12,7 @@ import pytest
 import servogen as sg
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from servogen.bench.contenders import casadi_c, numpy_pinv, servogen_c
 from servogen.bench.plot import _NARROW, _WIDE, _labels, _spread, draw, pareto
 from servogen.bench.results import Output
@@ -142,6 +143,23 @@ def test_no_label_leaves_its_panel(x: float, room: Any, width: float, left: floa
     label = axes.texts[0].get_window_extent(canvas.get_renderer())  # type: ignore[no-untyped-call]
     assert axes.bbox.x0 <= label.x0
     assert label.x1 <= axes.bbox.x1
+
+
+def test_a_label_that_goes_above_its_marker_covers_no_other() -> None:
+    """One in the middle, where neither side has room, went up by itself after the others had been spread."""
+    figure = Figure(figsize=(4.0, 6.2))
+    axes = figure.subplots()
+    errors = SimpleNamespace(nonfinite=0, largest_ulps=2.0)
+    rows = [
+        SimpleNamespace(ours=False, contender=name, times=SimpleNamespace(median=9e4), errors=errors)
+        for name in ("CasADi VM, numpy", "the textbook's twin")
+    ]
+    _labels(axes, rows, [(0.6, 0.3), (0.95, 0.34)], _NARROW)  # type: ignore[arg-type]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = [Text.get_window_extent(t, canvas.get_renderer()) for t in axes.texts]  # type: ignore[no-untyped-call]
+    lower, upper = sorted(boxes, key=lambda box: box.y0)  # without the lines to the markers
+    assert lower.y1 <= upper.y0
 
 
 @pytest.mark.parametrize("name", ["double_pendulum_ideal", "skewed_thrusters", "unicycle_path", "quaternion_pointing"])

@@ -66,6 +66,30 @@ def test_gauss_principle() -> None:
     np.testing.assert_allclose(tangent.T @ Q @ (u_dot - free), 0, atol=1e-12)
 
 
+def test_controls_that_are_involved_see_the_loop() -> None:
+    """A tau' = B with u' under tau and the loop's forces: against u' of a dense solve."""
+    mech = random_mechanism(7, 5, 1, 1, False)
+    phi = mech.tau[:2] * (1 + mech.q[:2] ** 2 / 4) + mech.u[:2] * mech.q[2] - ca.sin(mech.q[1:3])
+    domain = {"q": (-1.0, 1.0), "u": (-1.0, 1.0), "tau": (-2.0, 2.0)}
+    scene = sg.Scene("pushed", mech, [sg.ControlsInvolved("law", phi, Theta=-3.0)], domain=domain)
+    rate = ca.vertcat(ca.jtimes(mech.passive[0].chi, mech.q, mech.u), mech.passive[1].chi)
+    given = [mech.Q, mech.P + ca.mtimes(mech.G, mech.tau), ca.jacobian(rate, mech.u), ca.jtimes(rate, mech.q, mech.u)]
+    given += [phi, ca.jtimes(phi, mech.q, mech.u), ca.jacobian(phi, mech.u), ca.jacobian(phi, mech.tau)]
+    function = ca.Function("given", [mech.q, mech.u, mech.tau], given)
+    ours, textbook, drawn = values(scene, "A", "B"), sg.reference(scene), draw_states(scene, 3)
+    for k in range(3):
+        state = {n: v[k] for n, v in drawn.items()}
+        Q, force, J, j, phi_now, moving, slope, A = (
+            np.array(x) for x in function(*(state[n] for n in ("q", "u", "tau")))
+        )
+        kkt = np.block([[Q, -J.T], [J, np.zeros((len(J), len(J)))]])
+        u_dot = np.linalg.solve(kkt, np.vstack([force, -j]))[: len(Q)]
+        B = -3.0 * phi_now - moving - slope @ u_dot
+        for found in (ours(state), (textbook.A(**state), textbook.B(**state))):
+            np.testing.assert_allclose(found[0], A, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(np.ravel(found[1]), B.ravel(), rtol=0, atol=1e-10 * max(1, np.max(np.abs(B))))
+
+
 def two_bars(**more: Any) -> dict[str, Any]:
     """A slider-crank with a crank as long as its rod: at q = 0 both lie in a line, and J of the slider's guide is 0."""
     q, u, tau = ca.SX.sym("q", 2), ca.SX.sym("u", 2), ca.SX.sym("tau", 2)

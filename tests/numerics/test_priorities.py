@@ -285,6 +285,8 @@ def test_priorities_that_make_no_sense() -> None:
     two = [sg.Nonholonomic("a", u[0], Theta=-1), sg.Nonholonomic("b", u[1], Theta=-1, priority=1)]
     with pytest.raises(sg.SceneError, match="mode='ideal' takes all constraints alike"):
         sg.Scene("s", body, two, mode="ideal")
+    with pytest.raises(sg.SceneError, match=r"Solver\(method='cod'\) and priorities"):
+        sg.Scene("s", body, two, solver=sg.Solver(method="cod"))
     with pytest.raises(sg.SceneError, match="limits with priorities or with active='input' are not built"):
         sg.Scene("s", body, two, limits=sg.Limits(-1, 1))
     with pytest.raises(sg.SceneError, match="with priorities or active='input' is not built; leave out core"):

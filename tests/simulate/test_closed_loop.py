@@ -12,7 +12,7 @@ import pytest
 import servogen as sg
 from servogen.simulate.closed_loop import METHODS, ClosedLoop, simulate
 from servogen.simulate.plots import write_plots
-from servogen.simulate.simulation import Simulation
+from servogen.simulate.simulation import Simulation, run_takes, start_values
 from servogen.simulate.sources import host_sources, write_loop
 from servogen.simulate.wanted import load_simulation
 from servogen.tools import firmware_sim
@@ -232,6 +232,19 @@ def test_wrong_simulations_are_named(rail_loop):
         Simulation(decay={"E": (-1, 0)})
     with pytest.raises(sg.SceneError, match="scalar"):
         Simulation(outputs={"E": ca.SX.sym("x", 2)})
+
+
+def test_limits_that_are_inputs_belong_to_the_start():
+    x, v, force = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("F")
+    mech = sg.Mechanism(q=x, u=v, tau=force, Q=1, P=0, G=1)
+    scene = sg.Scene("pushed", mech, [sg.Nonholonomic("pace", v, Theta=-1.0)], limits=sg.Limits("input", "input"))
+    assert run_takes(scene)["start"] == {"q": 1, "u": 1, "tau": 1, "tau_min": 1, "tau_max": 1}
+    assert run_takes(scene)["references"] == {}
+    start = {"tau_min": -np.inf, "tau_max": 2.0}
+    assert start_values(scene, sg.Simulation(start=start))["tau_min"] == -np.inf
+    for wrong, words in (({"tau_max": 2.0}, "start has no tau_min"), (start | {"tau_min": np.nan}, "not finite")):
+        with pytest.raises(sg.SceneError, match=words):
+            start_values(scene, sg.Simulation(start=wrong))
 
 
 def test_a_servo_scene_has_no_phi(escape_loop):

@@ -6,16 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from servogen.survey.extension import extend, reached_at
-from support.high_degree import crane
+from support.high_degree import crane, crane_path
 
 G, RADIUS = 9.81, 0.1
-
-
-def path(t: Any) -> Any:
-    """The load from (0, 4) to (1, 5) in 6 s, Altmann and Heiland (2017)."""
-    x, powers = t / 6, (1716, -9009, 20020, -24024, 16380, -6006, 924)
-    s = sum(c * x ** (7 + k) for k, c in enumerate(powers))
-    return ca.vertcat(s, 4 + s)
 
 
 def along_the_path(times: Any) -> Any:
@@ -23,7 +16,7 @@ def along_the_path(times: Any) -> Any:
     scene, t = crane(), ca.SX.sym("t")
     found = extend(scene)
     assert (dict(found.integrators), found.degrees) == ({"M": 2}, (4, 4))
-    rates = [path(t)]
+    rates = [ca.vertcat(crane_path(t), 4 + crane_path(t))]
     for _ in range(4):
         rates.append(ca.jacobian(rates[-1], t))
     x, z = rates[0][0], rates[0][1]

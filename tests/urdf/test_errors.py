@@ -32,6 +32,7 @@ WRONG = [
     (A + B + joint("j", "a", "b", "floating"), {}, ("'j'", "'floating'", "joints=")),
     (A + B + joint("j", "a", "b", "planar"), {}, ("'j'", "'planar'", "not supported")),
     (A + link("b", "") + J, {}, ("'b'", "no <inertial>", "give the link mass")),
+    (link("a", "") + link("b", "") + J, {}, ("no link has an <inertial>", "kinematics alone", "a data sheet")),
     (
         A + B + C + J + joint("k", "a", "c", more='<mimic joint="j"/>'),
         {"joints": ["j", "k"]},

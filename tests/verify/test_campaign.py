@@ -5,6 +5,7 @@ import os
 
 import pytest
 from servogen.loading import builtin_names, load_scene
+from servogen.results import Status
 from servogen.verify.campaign import campaign_header, read_campaign, run_campaign
 from servogen.verify.generated import FOLDERS, committed_folder
 
@@ -53,6 +54,7 @@ def test_every_scene(scalar, board, need_target, tmp_path):
         assert last.statuses["OK"] + last.statuses.get("REGULARISED", 0) > 0.5 * VECTORS
         assert all(e.instructions > 0 and e.stack > 0 for e in result.entries)
     assert any("RANK_DEFICIENT_INCONSISTENT" in r.entries[-1].statuses for r in there)
+    assert {"lam", "closure"} <= {e.entry for r in there for e in r.entries}  # of loops
 
 
 def test_float64_in_software(need_target, tmp_path):
@@ -67,8 +69,9 @@ def test_smoke(board, need_target, tmp_path):
     agree(run("float32", ["host", board], tmp_path, ["double_pendulum_energy", "spacecraft"], 300))
 
 
-LOG = """harness prefix=p
-campaign entry=z vectors=5 hash=01 touched=0 worst=9 vector=3 total=1e stack=8 statuses=0,0,0,0,1,4,0,0,0,0,0
+COUNTS = ",".join(str({Status.NONFINITE: 1, Status.OK: 4}.get(s, 0)) for s in sorted(Status))
+LOG = f"""harness prefix=p
+campaign entry=z vectors=5 hash=01 touched=0 worst=9 vector=3 total=1e stack=8 statuses={COUNTS}
 verdict pass=1
 """
 

@@ -1,6 +1,7 @@
 """The cross-check passes good code and fails each kind of wrong code."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 import servogen as sg
 from servogen.loading import load_scene
 from servogen.verify import check as check_module
-from servogen.verify.check import check
+from servogen.verify.check import _reference_ulps, check
 from servogen.verify.truth import Truth, states_to_check
+from servogen.verify.vectors import EntryVectors, OutputVectors
 from support.mutate import mutated
 
 STATES = 40
@@ -154,3 +156,25 @@ def test_same_vectors_on_the_emulated_cortex_m4(need_target, states):
     assert report.differences
     # no libm in this scene: every bit must agree
     assert all(d.different == 0 and d.statuses_differ == 0 for d in report.differences)
+
+
+def test_a_tau_of_another_rank_says_nothing_of_the_formulas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dependent rows (an overhead crane's) may become independent by the reference's own rounding: tau 1e17."""
+    taus = [(np.array([1.0, 2.0]), 1), (np.array([-3e17, 2.0]), 2)]
+    calls = iter(taus)
+    twin = SimpleNamespace(
+        dtype=np.dtype(float),
+        system=lambda inputs: (0, {}),
+        control=lambda q: SimpleNamespace(value=(pair := next(calls))[0], info=SimpleNamespace(rank=pair[1])),
+    )
+    monkeypatch.setattr("servogen.verify.check.reference", lambda scene, scalar: twin)
+    answer = OutputVectors.of("tau", np.array([[1.0, 2.0]] * 2), 1e-9, 2.0, "float64")
+    entry = EntryVectors("control", "control", (answer,), np.array([2, 2]), np.array([1, 1]), domain=2)
+    system = SimpleNamespace(constraint="psi", matrix="S", right="z", answer="tau")
+    case = SimpleNamespace(
+        scene=SimpleNamespace(system=system),
+        scalar="float64",
+        truth=SimpleNamespace(drawn=2, inputs={"q": np.zeros((2, 1))}),
+        vectors=SimpleNamespace(entries=(entry,)),
+    )
+    assert _reference_ulps(case) == {"tau": 0.0}  # type: ignore[arg-type]

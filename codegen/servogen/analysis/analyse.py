@@ -22,6 +22,10 @@ _ZERO = 1e-6
 """Of an eigenvalue's real part beside the largest eigenvalue: what is smaller decides nothing."""
 
 
+BRIEF = 2000
+"""Operations of a closed loop beyond which who looks at it beside other things does not look for states of rest: for a
+robot with seven joints that takes as long as a check."""
+
 _PRESCRIBE = "prescribe {}, or a combination with it"
 
 _NEAR = 0.5

@@ -86,13 +86,13 @@ def inside_of(scene: Scene) -> Inside:
         answer = y + ca.solve(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, missing))
     tau = mech.tau if scene.system.tau_is_state else answer
     u_dot, _ = accelerations(samples, found, mech.P + ca.mtimes(mech.G, tau))
-    drift = motion_of(scene)
     held = []
     for c in scene.constraints:
-        held.append(expression_of(c))
+        drift, values = motion_of(scene, c), [expression_of(c)]
         for _ in range(c.order - 1):
-            held.append(drift.rate(held[-1], f"constraint {c.name!r}"))
-    held = ca.vertcat(*drift.filled(*held), *_closed(scene))
+            values.append(drift.rate(values[-1], f"constraint {c.name!r}"))
+        held += drift.filled(*values)
+    held = ca.vertcat(*held, *_closed(scene))
     speeds = int(mech.u.size1())
     if scene.system.tau_is_state:
         return Inside(scene, ("q", "u", "tau"), speeds, ca.vertcat(mech.q_dot, u_dot, answer), held, tau)

@@ -172,26 +172,27 @@ def _labels(axes: Any, rows: Sequence[Measurement], placed: Sequence[tuple[float
     """Beside the markers, where need be moved up or down and joined to them by a line."""
     to_panel = axes.transScale + axes.transLimits
     spots = [tuple(to_panel.transform(p)) for p in placed]
-    heights = _spread(spots, room.height)
-    for m, (x, y), height in zip(rows, spots, heights, strict=True):
-        text, colour = _label(m), OURS if m.ours else THEIRS
-        spot, side = _beside((x, height), room.letter * len(text), room)
+    texts = [_label(m) for m in rows]
+    beside = [_beside(x, room.letter * len(text), room) for (x, _), text in zip(spots, texts, strict=True)]
+    wanted = [(x, y + room.height if side == "center" else y) for (x, y), (_, side) in zip(spots, beside, strict=True)]
+    heights = _spread(wanted, room.height)
+    for m, text, at, height, (x, side) in zip(rows, texts, spots, heights, beside, strict=True):
+        colour = OURS if m.ours else THEIRS
         axes.annotate(
-            text, (x, y), xycoords="axes fraction", xytext=spot, textcoords="axes fraction", ha=side, va="center",
-            fontsize=room.font, color=colour, path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            text, at, xycoords="axes fraction", xytext=(x, height), textcoords="axes fraction", ha=side, va="center",
+            fontsize=room.font, color=colour, zorder=5, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             weight="bold" if m.ours else "normal",
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1, "shrinkB": 4},
         )  # fmt: skip
 
 
-def _beside(spot: tuple[float, float], width: float, room: _Room) -> tuple[tuple[float, float], str]:
-    """Where a label of that width goes, and its side that is there: right of the spot, left, or above it."""
-    x, y = spot
+def _beside(x: float, width: float, room: _Room) -> tuple[float, str]:
+    """Where a label of that width goes, and its side that is there: right of the marker, left, or above it."""
     if x + room.gap + width <= 1:
-        return (x + room.gap, y), "left"
+        return x + room.gap, "left"
     if x - room.gap - width >= 0:
-        return (x - room.gap, y), "right"
-    return (min(max(x, width / 2), 1 - width / 2), y + room.height), "center"
+        return x - room.gap, "right"
+    return min(max(x, width / 2), 1 - width / 2), "center"
 
 
 def _label(m: Measurement) -> str:

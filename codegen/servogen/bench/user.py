@@ -21,8 +21,8 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
     """Dense SX of the matrix (m x l), the right side (m) and the answer (l), Eqs. (8)-(10), (39)-(41).
 
     The system is the matrix, row by row, then the right side. Of ideal control forces R (n) and the answer alone, Eqs.
-    (16)-(17). ldlt: Q is factorised once, as an expert would, and solved with for the rows of psi_u; else `ca.solve`
-    does what it does.
+    (16)-(17); no answer where there are priorities. ldlt: Q is factorised once, as an expert would, and solved with for
+    the rows of psi_u; else `ca.solve` does what it does.
     """
     Q = scene.mechanism.Q
     factors = ca.ldl(Q) if ldlt else ()
@@ -35,6 +35,8 @@ def expressions(scene: Scene, ldlt: bool = False) -> dict[Output, Any]:
         tau = y + ca.mtimes(inverse, z - ca.mtimes(S, y))
     system = ca.vertcat(ca.vec(ca.densify(S).T), z)
     found = {Output.MATRIX: S, Output.RIGHT: z, Output.SYSTEM: system, Output.ANSWER: tau}
+    if scene.cascaded:
+        del found[Output.ANSWER]  # an expression cannot follow the ranks of its levels
     if scene.system.matrix_is_given:
         del found[Output.MATRIX], found[Output.SYSTEM]  # G, as the user wrote it
     return {output: ca.densify(expression) for output, expression in found.items()}

@@ -10,6 +10,7 @@ where an entry point takes more than before, beyond what the board's clock leave
 
 import argparse
 import json
+import math
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,8 +22,14 @@ from servogen.verify.campaign import Campaign, campaign_header, run_campaign
 from servogen.verify.generated import FOLDERS, committed_folder
 from servogen.verify.harness import targets
 
-CLOCK = 1.0
-"""Instructions by which the mean of a few hundred calls may be wrong: a tick is 40 to 63 long, its phase any."""
+TICK = 63
+"""Instructions of the slowest board's clock between two ticks."""
+
+
+def clock_error(vectors: int) -> float:
+    """Instructions by which two means over so many calls may differ by the clock alone: a call begins and ends at any
+    phase of a tick, which leaves each count a variance of TICK^2 / 6; three standard deviations of the difference."""
+    return 3 * TICK * math.sqrt(1 / 3 / vectors)
 
 
 @dataclass(frozen=True)
@@ -35,11 +42,6 @@ class Compared:
     entry: str
     before: float
     after: float
-
-    @property
-    def more(self) -> bool:
-        """Whether it takes more than before, beyond the clock's error."""
-        return self.after > self.before + CLOCK
 
 
 def comparable(before: Path, after: Path, names: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -102,7 +104,7 @@ def main() -> int:
     parser.add_argument("after", type=Path, nargs="?", help="another; default that of this checkout")
     parser.add_argument("--boards", nargs="*", default=[t for t in targets() if t != "host"])
     parser.add_argument("--scenes", nargs="*", default=list(builtin_names()))
-    parser.add_argument("--vectors", type=int, default=300, help="states, made on the board")
+    parser.add_argument("--vectors", type=int, default=3000, help="states, made on the board")
     given = parser.parse_args()
     after = given.after or committed_folder()
     names, others = comparable(given.before, after, given.scenes)
@@ -112,9 +114,10 @@ def main() -> int:
     for board in given.boards:
         for one in compare(given.before, after, names, board, given.vectors):
             ratio = f"{one.before:12.1f} -> {one.after:12.1f}  {one.after / one.before:.3f}"
-            print(f"{one.scene:32} {one.scalar} {one.board:10} {one.entry:8} {ratio}{'  MORE' * one.more}", flush=True)
-            more += [one] * one.more
-    print(f"{len(more)} entry points take more than before")
+            found = one.after > one.before + clock_error(given.vectors)
+            print(f"{one.scene:32} {one.scalar} {one.board:10} {one.entry:8} {ratio}{'  MORE' * found}", flush=True)
+            more += [one] * found
+    print(f"{len(more)} entry points take more than before, by {clock_error(given.vectors):.1f} instructions or above")
     return 1 if more else 0
 
 

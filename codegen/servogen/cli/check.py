@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import click
 
-from servogen.analysis.analyse import Analysis, analyse
+from servogen.analysis.analyse import BRIEF, Analysis, analyse
 from servogen.cli.console import (
     FAILED,
     GOOD,
@@ -25,10 +25,6 @@ from servogen.verify.answers import BAR
 from servogen.verify.campaign import VECTORS
 from servogen.verify.check import STATES, CheckReport, OutputCheck, check
 from servogen.verify.harness import targets
-
-BRIEF = 2000
-"""Operations of a closed loop beyond which `servogen analyse` alone looks for what runs away inside: for a robot with
-seven joints that takes as long as a check."""
 
 
 @click.command("check")

@@ -149,7 +149,7 @@ def _plant_fmu(scene: Scene, simulation: Simulation, folder: Path, package: Pack
     default="auto",
     show_default=True,
     help="How S+ is computed: the cheapest step proven safe, the SVD always, or a complete orthogonal decomposition "
-    "(no iteration, nearly the same time whatever S is).",
+    "(no iteration, hence a lower worst case).",
 )
 @click.option("--limits", is_flag=True, help="solve takes lower and upper: least squares within them, nearest to y.")
 @click.option("--batch", is_flag=True, help="Also <prefix>_batch.h and .c: solve of many systems at once, by vectors.")

@@ -9,7 +9,8 @@ import numpy as np
 from servogen.derive.answer import controlling
 from servogen.derive.formulation import Formulation, MassFindings, Quantity
 from servogen.derive.mass import solve_square, solve_with_mass
-from servogen.derive.servo import constraint_rows, free_quantities
+from servogen.derive.rows import constraint_rows
+from servogen.derive.servo import free_quantities
 from servogen.derive.weight import weigh
 from servogen.law.law import Routine
 from servogen.law.steps import Evaluate, React

@@ -34,10 +34,11 @@ class Drift:
 
     Expressions on the way hold the symbols of a_0, a_1, ...; `filled` puts in what these are. With passive constraints
     u' is an expression of q, u and t from the start. undeclared_rest: rates of references that are not declared are
-    zero, no error.
+    zero, no error. force: another than P.
     """
 
-    def __init__(self, samples: Samples, found: MassFindings, undeclared_rest: bool = False) -> None:
+    def __init__(self, samples: Samples, found: MassFindings, undeclared_rest: bool = False, force: Any = None) -> None:
+        self._force = samples.scene.mechanism.P if force is None else force
         self._samples, self._found, self._scene = samples, found, samples.scene
         self._undeclared_rest = undeclared_rest
         self._levels: list[_Level] = []
@@ -45,8 +46,8 @@ class Drift:
     @cached_property
     def _held(self) -> Any:
         """u' under passive constraints; None where there are none."""
-        mech = self._scene.mechanism
-        return accelerations(self._samples, self._found, mech.P)[0] if mech.passive else None
+        passive = self._scene.mechanism.passive
+        return accelerations(self._samples, self._found, self._force)[0] if passive else None
 
     def rate(self, expression: Any, what: str) -> Any:
         """Its time derivative at tau = 0. SceneError as derive.rates.rate's."""
@@ -93,7 +94,7 @@ class Drift:
         mech = self._scene.mechanism
         while len(self._levels) <= k:
             if not self._levels:
-                right = mech.P
+                right = self._force
             else:
                 last = self._levels[-1]
                 right = -self._rate(ca.mtimes(mech.Q, last.symbol) - last.right, what, len(self._levels))

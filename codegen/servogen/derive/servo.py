@@ -1,22 +1,18 @@
 """Servo-constraints without controls: S tau = z, Eqs. (3)-(12)."""
 
-from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Any
 
 import casadi as ca
 
 from servogen.derive.answer import controlling
-from servogen.derive.constraint_rates import holonomic_rates, nonholonomic_rates
 from servogen.derive.formulation import Formulation, MassFindings, Quantity, Weight
 from servogen.derive.lie import Drift
 from servogen.derive.limiting import limit_quantities, within_limits
 from servogen.derive.passive import passive_quantities, respond
+from servogen.derive.rows import behind, constraint_rows
 from servogen.derive.weight import weigh
-from servogen.scene.constraints import Constraint, expression_of, is_holonomic
+from servogen.scene.constraints import is_holonomic
 from servogen.scene.convert import is_identity
-from servogen.scene.known_rates import Gauge
 from servogen.scene.samples import Samples
 from servogen.scene.scene import Scene
 from servogen.scene.system import NEAREST
@@ -27,15 +23,19 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     scene = samples.scene
     mech = scene.mechanism
     gauge = mech.gauge
-    rows = constraint_rows(scene, gauge, Drift(samples, found))
+    apart = behind(samples, found)
+    rows = constraint_rows(scene, gauge, Drift(samples, found), apart)
     psi, J, X, prescribed = rows.psi, rows.J, rows.X, rows.prescribed
     # m solves with Q for the rows of psi_u, not l for the columns of G
     W, shift, mass = respond(samples, found, J, gauge)
     S = ca.mtimes(W, mech.G)
+    if apart is not None:
+        left = ca.mtimes(W, apart.G)
+        S = ca.vertcat(*(left[k, :] if own else S[k, :] for k, own in enumerate(rows.behind)))
     force = mech.P if gauge is None else gauge.force
     weight = weigh(scene, mass)
     weighted = None
-    if weight is not None and weight.of_mass and is_identity(mech.G) and not mech.passive:
+    if weight is not None and weight.of_mass and is_identity(mech.G) and not mech.passive and apart is None:
         # with N N^T = Q and G = I, S N is (N^-1 J^T)^T: half of the solve with Q, and the other half is not needed
         weighted = weight.to_sigma(J.T).T
         z = prescribed - X - rows.still_due(ca.mtimes(weighted, weight.to_sigma(force)))
@@ -53,34 +53,6 @@ def derive_servo(samples: Samples, found: MassFindings) -> Formulation:
     entries = (("psi",), ("S",), ("z",), ("S", "z"), *((q.name,) for q in passive))
     law = within_limits(scene, controlling(scene, [*quantities, *passive], weight, entries), limits)
     return Formulation(scene, (*quantities, *passive), mass, law, weight)
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """J u' + X = prescribed for all constraints, in the order given; psi: their expressions. All SX, a row each.
-
-    With a gauge it is J (u' - gauge.u_dot) + X. driven: rows of outputs whose X holds the drift J Q^-1 P, too.
-    """
-
-    psi: Any
-    J: Any
-    X: Any
-    prescribed: Any
-    driven: tuple[bool, ...]
-
-    def still_due(self, drift: Any) -> Any:
-        """J Q^-1 P where X does not hold it."""
-        if not any(self.driven):
-            return drift
-        return ca.vertcat(*(0 if driven else drift[k] for k, driven in enumerate(self.driven)))
-
-
-def constraint_rows(scene: Scene, gauge: Gauge | None = None, drift: Drift | None = None) -> Rows:
-    """The rows of a scene's constraints. drift: of the scene; outputs of a higher degree need it."""
-    rows = [_rows(scene, c, gauge, drift) for c in scene.constraints]
-    psi, J, X, prescribed = (ca.vertcat(*parts) for parts in zip(*(row[:4] for row in rows), strict=True))
-    driven = tuple(row[4] for row, c in zip(rows, scene.constraints, strict=True) for _ in range(c.size))
-    return Rows(psi, J, X, prescribed, driven)
 
 
 def free_quantities(
@@ -160,26 +132,3 @@ def _free_words(scene: Scene) -> dict[str, tuple[str, str]]:
         "S": ("Eq. (8)", "J Q^-1 G, J = psi_u or psi_q C"),
         "z": ("Eqs. (9), (12)", "-J Q^-1 P - X + Theta psi or Theta1 psi' + Theta2 psi"),
     }
-
-
-def _rows(
-    scene: Scene, constraint: Constraint, gauge: Gauge | None, drift: Drift | None
-) -> tuple[Any, Any, Any, Any, bool]:
-    """psi, J, X, right side and driven as in Rows, for one constraint."""
-    what, psi = f"constraint {constraint.name!r}", expression_of(constraint)
-    driven = False
-    if is_holonomic(constraint, scene.mechanism.u):
-        psi_dot, J, X = holonomic_rates(scene, psi, what, gauge)
-        rates = [psi, psi_dot]
-    elif constraint.order == 1:
-        J, X = nonholonomic_rates(scene, psi, what, gauge)
-        rates = [psi]
-    else:
-        assert drift is not None
-        driven, rates = True, [psi]
-        for _ in range(constraint.order):
-            rates.append(drift.rate(rates[-1], what))
-        J = drift.gradient(rates[-2])
-        *rates, X = drift.filled(*rates)
-    terms = [ca.mtimes(theta, value) for theta, value in zip(constraint.thetas, rates, strict=True)]
-    return psi, J, X, reduce(add, reversed(terms)), driven

@@ -134,27 +134,12 @@ def add_controller(
         initial="exact",
         start=(0.0,),
     )
-    calculated = {"initial": "calculated"}
-    found.add(
-        "tau",
-        found.real,
-        controls,
-        "output",
-        "discrete",
-        "s->tau",
-        "the controls, computed at the step's start and held",
-        **calculated,
-    )
-    found.add(
-        f"info.{constraint}",
-        found.real,
-        rows,
-        "output",
-        "discrete",
-        f"s->{constraint}",
-        f"{constraint} at the last tick",
-        **calculated,
-    )
+
+    def at_tick(name: str, type_: str, size: int, field: str, text: str) -> None:
+        found.add(name, type_, size, "output", "discrete", field, text, initial="calculated")
+
+    at_tick("tau", found.real, controls, "s->tau", "the controls, computed at the step's start and held")
+    at_tick(f"info.{constraint}", found.real, rows, f"s->{constraint}", f"{constraint} at the last tick")
     paths = ", ".join(f"{int(p)} {p.name}" for p in Path)
     for name, text in (
         ("status", f"of the last tick: {said}; where it is negative tau stays as it was"),
@@ -162,12 +147,12 @@ def add_controller(
         ("rank", "singular values that count as nonzero"),
         ("sweeps", "of the longest Jacobi iteration"),
     ):
-        found.add(f"info.{name}", "Int32", 1, "output", "discrete", f"&s->info.{name}", text, **calculated)
+        at_tick(f"info.{name}", "Int32", 1, f"&s->info.{name}", text)
     for name, text in (
         ("sigma_min", "the smallest singular value; where no SVD was needed, a lower bound of it"),
         ("residual", "2-norm of what is left of the equations"),
     ):
-        found.add(f"info.{name}", found.real, 1, "output", "discrete", f"&s->info.{name}", text, **calculated)
+        at_tick(f"info.{name}", found.real, 1, f"&s->info.{name}", text)
 
 
 def add_plant(

@@ -73,6 +73,7 @@ def _derived(formulation: Formulation) -> tuple[tuple[str, str, str], ...]:
         if isinstance(step, React):
             answers.append(("R = J^T (J Q^-1 J^T)^+ (b - J Q^-1 P)", step.into, "17"))
     metric = "" if scene.weight is None else f", {system.matrix}^+ in the metric of W"
+    metric += ", level by level" if scene.cascaded else ""
     inner = f"({system.right} - {system.matrix} y)" if scene.y is not None else system.right
     free = "y + " if scene.y is not None else ""
     answers.append((f"{system.symbol} = {free}{system.matrix}^+ {inner}{metric}", control.result, system.equation))

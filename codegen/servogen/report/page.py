@@ -84,6 +84,11 @@ def _cards(scene: SceneReport) -> list[Card]:
     if scene.loop is not None:
         verdict = scene.loop.trajectory.verdict
         cards.append(Card("The closed loop", verdict.word, verdict.held, f"{verdict.reason} {verdict.advice}".rstrip()))
+    if scene.generated is not None:
+        inside = scene.generated.inside
+        cards.append(
+            Card("What is left inside", inside.verdict, inside.verdict != "unstable", _sentence(inside.meaning))
+        )
     if scene.robustness is not None:
         cards.append(_robustness(scene.robustness))
     if scene.check is not None:
@@ -92,6 +97,10 @@ def _cards(scene: SceneReport) -> list[Card]:
         text = _accuracy(scene.check) + ("" if scene.board is None else _sameness(scene.board))
         cards.append(Card("The generated code", "right" if good else "wrong", good, text))
     return cards
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _robustness(found: Robustness) -> Card:

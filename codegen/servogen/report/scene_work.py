@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from servogen.analysis.analyse import BRIEF, Analysis, analyse
 from servogen.bench.peers.peers import bench_peers
 from servogen.bench.plot import draw, title
 from servogen.bench.plot import narrow_figures as narrow_bench
@@ -100,6 +101,7 @@ class Generated:
     patterns: tuple[tuple[str, str], ...]  # a matrix with its shape, and an SVG of what its entries are
     mass: str
     call: str
+    inside: Analysis
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +179,7 @@ class SceneWork:
             patterns=_patterns(scene, optimised.program),
             mass=formulation.mass.reason,
             call=_call(packages["float64"]),
+            inside=analyse(scene, BRIEF),
         )
 
     def loop(self) -> Loop:

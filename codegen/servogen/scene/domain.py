@@ -53,7 +53,8 @@ def _draw_closed(scene: Scene, count: int, generator: np.random.Generator) -> St
     names = ", ".join(repr(c.name) for c in scene.mechanism.passive)
     raise SceneError(
         f"domain: hardly a state drawn from it can be closed (passive constraints {names}); give ranges of q around "
-        "states that satisfy chi, or a callable that returns such states"
+        "states that satisfy chi, or a callable that returns such states; where there are none, take out those rows of "
+        "chi that contradict others"
     )
 
 

@@ -315,6 +315,12 @@ def _check_kinds(scene: Scene) -> None:
             f"scene {scene.name!r}: mode='ideal' takes all constraints alike, for G tau = R has no rows of theirs; "
             "leave mode at 'servo', or give all constraints one priority and no active='input'"
         )
+    if scene.solver.method == "cod" and scene.cascaded:
+        raise SceneError(
+            f"scene {scene.name!r}: Solver(method='cod') and priorities or active='input': what is left to a level "
+            "is decided by singular values; choose method 'auto' or 'svd', or give all constraints one priority and "
+            "leave them active"
+        )
     names = [c.name for c in scene.constraints]
     for name in names:
         if names.count(name) > 1:

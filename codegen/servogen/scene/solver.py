@@ -21,8 +21,8 @@ class Solver:
     """How S+ is computed.
 
     method: "auto" takes the cheapest step that is proven safe, "svd" goes straight to the SVD. "cod" is a complete
-        orthogonal decomposition: rank by the pivots of a QR, no iteration, nearly the same work whatever S is; near a
-        loss of rank its decision may differ from the SVD's, and it takes neither damping nor sigma_min="exact".
+        orthogonal decomposition: rank by the pivots of a QR, no iteration, so a lower worst case; near a loss of rank
+        its decision may differ from the SVD's, and it takes neither damping, nor sigma_min="exact", nor priorities.
     rank: "scaled" decides the rank on S with its rows scaled by powers of two, so that a constraint's unit does not
         matter; "raw" on S itself, as numpy, scipy and MATLAB do.
     rtol: singular values at or below rtol times the largest count as zero; default max(m, l) * eps, and never less than

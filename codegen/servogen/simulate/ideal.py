@@ -28,7 +28,7 @@ def prescribed(scene: Scene) -> tuple[Prescribed, ...]:
     """What is asked of each constraint."""
     found = []
     for c in scene.constraints:
-        values, drift = [expression_of(c)], motion_of(scene)
+        values, drift = [expression_of(c)], motion_of(scene, c)
         for _ in range(c.order - 1):
             values.append(drift.rate(values[-1], f"constraint {c.name!r}: {c.symbol}'"))
         psi, *rates = drift.filled(*values)

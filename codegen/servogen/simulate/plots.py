@@ -227,7 +227,7 @@ def _deviation(trajectory: Trajectory, name: str, values: FloatArray, ideal: Flo
 def _margin_panels(simulation: Simulation, trajectory: Trajectory, unit: str | None) -> list[Panel]:
     """What is watched, and where it would end the run."""
     watched = [
-        ("smallest singular value, or a bound below it", trajectory.sigma_min, simulation.sigma_min),
+        ("σ_min, or a bound", trajectory.sigma_min, simulation.sigma_min),
         (_axis("largest |τ|", unit), np.max(np.abs(trajectory.tau), axis=1), simulation.tau_max),
     ]
 

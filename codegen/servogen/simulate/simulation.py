@@ -231,9 +231,11 @@ def known_symbols(scene: Scene) -> list[tuple[str, Any]]:
 
 
 def run_takes(scene: Scene) -> dict[str, dict[str, int]]:
-    """What ClosedLoop.run takes by name, and its size: start, references (y among them) and parameters."""
+    """What ClosedLoop.run takes by name, and its size: start (limits that are inputs among it), references (y among
+    them) and parameters."""
     mech = scene.mechanism
     states = {"q": mech.q.size1(), "u": mech.u.size1(), "tau": scene.controls}
+    states |= {f.name: f.size for f in scene.input_fields() if f.name in INPUTS.values()}
     return {
         "start": states,
         "references": {f.name: f.size for f in scene.input_fields() if f.name not in (*states, "t")},
@@ -287,11 +289,12 @@ def checked(given: Mapping[str, Any], sizes: Mapping[str, int], what: str) -> di
     for name in given:
         if name not in sizes:
             raise SceneError(f"{what}: {name!r} is unknown; there are {', '.join(sizes) or 'none'}")
-    return {n: sized(value, sizes[n], f"{what}: {n}") for n, value in given.items()}
+    limits = INPUTS.values()
+    return {n: sized(value, sizes[n], f"{what}: {n}", finite=n not in limits) for n, value in given.items()}
 
 
-def sized(value: Any, size: int, what: str, remedy: str = "") -> FloatArray:
-    """A finite number or a list as an array (size,); SceneError otherwise."""
+def sized(value: Any, size: int, what: str, remedy: str = "", finite: bool = True) -> FloatArray:
+    """A number or a list as an array (size,), without NaN and, where so wished, infinities; SceneError otherwise."""
     wanted = f"give {size} number{'s' if size > 1 else ''}{remedy}"
     try:
         array = np.atleast_1d(np.asarray(value))
@@ -302,7 +305,7 @@ def sized(value: Any, size: int, what: str, remedy: str = "") -> FloatArray:
         raise SceneError(f"{what} = {value!r}; {wanted}") from None
     if array.size != size:
         raise SceneError(f"{what} has {array.size} entries; it must have {size}")
-    if not np.all(np.isfinite(array)):
+    if not np.all(np.isfinite(array)) and (finite or np.any(np.isnan(array))):
         raise SceneError(f"{what} = {value!r} is not finite; {wanted}")
     return array
 

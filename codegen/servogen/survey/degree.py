@@ -10,6 +10,7 @@ from servogen.derive.formulation import MassFindings, Quantity
 from servogen.derive.lie import Drift
 from servogen.derive.lower import lower_quantities, parameter_defaults
 from servogen.derive.passive import respond
+from servogen.derive.rows import Behind, behind
 from servogen.errors import SceneError
 from servogen.ir.evaluate import evaluate
 from servogen.ir.program import Program
@@ -26,31 +27,39 @@ LARGEST = 20_000
 
 def survey_degree(samples: Samples, found: MassFindings) -> None:
     """SceneError naming a row of an sg.Output whose derivatives below the order of its Theta reach the controls."""
+    apart = behind(samples, found)
     for c in samples.scene.constraints:
         if not isinstance(c, Output) or c.order == 1:
             continue
-        for label, degree in zip(labels_of(c), row_degrees(samples, found, c, c.order - 1), strict=True):
+        own = apart if apart is not None and c.name in apart.names else None
+        for label, degree in zip(labels_of(c), row_degrees(samples, found, c, c.order - 1, own), strict=True):
             if degree is not None:
+                way = "" if own is None else ", even with the other rows taken out"
                 raise SceneError(
                     f"{label}: Theta has {c.order} entries, but the controls reach its {ordinal(degree)} derivative "
-                    f"already: its relative degree is {degree}; give Theta={thetas_of(degree)}, in an sg.Output of its "
-                    "own where other rows have another degree"
+                    f"already{way}: its relative degree is {degree}; give Theta={thetas_of(degree)}, in an sg.Output "
+                    "of its own where other rows have another degree"
                 )
 
 
-def row_degrees(samples: Samples, found: MassFindings, constraint: Constraint, most: int) -> tuple[int | None, ...]:
+def row_degrees(
+    samples: Samples, found: MassFindings, constraint: Constraint, most: int, apart: Behind | None = None
+) -> tuple[int | None, ...]:
     """The relative degree of each row, up to `most`; None for one that no control reaches until then.
+
+    apart: the motion in which other rows are taken out; None: the scene's own.
 
     The rates of references count as far as they are declared; no control reaches a row sooner or later for them.
     Nor is a row followed beyond LARGEST operations.
     """
-    mech, what = samples.scene.mechanism, f"constraint {constraint.name!r}"
-    drift = Drift(samples, found, undeclared_rest=True)
+    what = f"constraint {constraint.name!r}"
+    G = samples.scene.mechanism.G if apart is None else apart.G
+    drift = Drift(samples, found, undeclared_rest=True) if apart is None else apart.drift
     value = expression_of(constraint)
     degrees: list[int | None] = [None] * constraint.size
     for k in range(1, most + 1):
         W, *_ = respond(samples, found, drift.gradient(value))
-        gone = vanishing(samples, ca.mtimes(W, mech.G))
+        gone = vanishing(samples, ca.mtimes(W, G))
         for row in range(constraint.size):
             if degrees[row] is None and not gone[row]:
                 degrees[row] = k

@@ -53,10 +53,12 @@ class Reached:
 class Extension:
     """What the algorithm came to.
 
-    scene: with the integrators as entries of u behind the others; the scene given where none are needed.
-    degrees: of the rows there, None for one that no control reaches; reached: None then. first_degrees, first_rank: of
-    the scene given, and of its S for almost all states. integrators: control -> how many. exchanged: control -> the row
-    whose derivative stands in its place. reason: why it ends without an answer; empty where S has full row rank.
+    scene: with the integrators as entries of u behind the others; the scene given where none are needed. degrees: of
+    the rows there, None for one that no control reaches; reached: None then. first_degrees, first_rank: of the scene
+    given, and of its S for almost all states. integrators: control -> how many. exchanged: control -> the row whose
+    derivative stands in its place. dependent: the places of the rows that made integrators necessary; as outputs of
+    the degrees told here they need none (derive/rows.py: Behind). reason: why it ends without an answer; empty where S
+    has full row rank.
     """
 
     scene: Scene
@@ -66,6 +68,7 @@ class Extension:
     reached: Reached | None = None
     integrators: Mapping[str, int] = field(default_factory=dict)
     exchanged: Mapping[str, str] = field(default_factory=dict)
+    dependent: frozenset[int] = frozenset()
     reason: str = ""
 
 
@@ -81,6 +84,7 @@ def extend(scene: Scene) -> Extension:
     integrators: dict[str, int] = {}
     exchanged: dict[str, str] = {}
     first: tuple[tuple[int | None, ...], int] | None = None
+    dependent: frozenset[int] = frozenset()
     while True:
         degrees = degrees_of(scene)
         if None in degrees:
@@ -90,7 +94,7 @@ def extend(scene: Scene) -> Extension:
         reached = reached_at(scene, degrees)
         pivots, depends = _eliminated(scene, reached.S)
         first = first or (degrees, len(pivots))
-        found = Extension(scene, degrees, *first, reached, integrators, exchanged)
+        found = Extension(scene, degrees, *first, reached, integrators, exchanged, dependent)
         if len(pivots) == len(labels):
             return found
         tied = ", ".join(labels[i] for i in sorted({*depends, *(p for row in depends.values() for p in row)}))
@@ -100,6 +104,7 @@ def extend(scene: Scene) -> Extension:
             return replace(found, reason=f"{tied} are never independent, whatever is differentiated")
         if reached.S.numel() and _size(reached) > LARGEST:
             return replace(found, reason=f"the derivatives of {tied} grow beyond {LARGEST} operations")
+        dependent = dependent | depends.keys()
         rows = sorted({p for row in depends.values() for p in row})
         columns = [c for c in range(scene.controls) if any(not reached.S[p, c].is_zero() for p in rows)]
         if len(columns) > len(rows):

@@ -55,7 +55,8 @@ def _remedy(samples: Samples, found: MassFindings, row: int) -> str:
     most = mech.q.size1() + mech.u.size1()
     degree = row_degrees(samples, found, constraint, most)[row]
     if degree is None:
-        return "No control moves it, however often it is differentiated; constrain a quantity that the controls change"
+        held = ", or the passive constraints leave it no motion" if mech.passive else ""
+        return f"No control moves it, however often it is differentiated{held}; constrain what the controls change"
     if degree == 2 and not ca.depends_on(expression, mech.u):  # what a beginner does, in words without degrees
         return "It is a function of q alone: declare it as sg.Holonomic, whose second derivative the controls reach"
     return (
@@ -102,10 +103,10 @@ def _dependence(scene: Scene, labels: list[str], values: FloatArray) -> tuple[st
     if scene.system.of_outputs:
         found = extend(scene)
         if not found.reason:
-            controls = " and ".join(f"{count} before {name}" for name, count in found.integrators.items())
-            degrees = ", ".join(map(str, found.degrees))
+            remedies = [f"{labels[k]} an sg.Output with Theta={thetas_of(found.degrees[k] or 0)}"
+                        for k in sorted(found.dependent)]  # fmt: skip
             return (
-                f"{told}the controls reach some of them too soon; with integrators, {controls}, their relative degree "
-                f"is {degrees} and they are independent (sg.analyse): drop one, or accept the least-squares answer",
+                f"{told}the controls reach some by way of others alone; make {' and '.join(remedies)}, of its own "
+                "beside the rest, or accept the least-squares answer",
             )
     return (f"{told}drop one, or accept the least-squares answer",)

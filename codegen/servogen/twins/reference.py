@@ -10,9 +10,10 @@ import casadi as ca
 import numpy as np
 
 from servogen.derive.controls import BENT_CAP
+from servogen.derive.formulation import MassFindings
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.passive import independent_rows
-from servogen.derive.servo import constraint_rows
+from servogen.derive.rows import Behind, behind, constraint_rows
 from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Output
@@ -368,13 +369,23 @@ class ReferenceServo(ReferenceTwin):
     @staticmethod
     def written(scene: Scene, parts: dict[str, Any], solve: Solve) -> tuple[Any, Any]:
         S, drift = parts["product"](parts["G"]), parts["product"](parts["P"])
-        return S, parts["prescribed"] - parts["X"] - drift
+        return _taken_out(scene, S, parts["prescribed"] - parts["X"] - drift)
+
+    @cached_property
+    def _takes_out(self) -> Any:
+        """S and z -> the same with the rows that others stand behind taken out of these; None where there are none."""
+        if _apart(self.scene) is None:
+            return None
+        S, z = ca.SX.sym("S", *self.scene.system_shape), ca.SX.sym("z", self.scene.rows)
+        return ca.Function("takes_out", [S, z], [*_taken_out(self.scene, S, z)])
 
     def _textbook(self, given: dict[str, FloatArray], inputs: dict[str, FloatArray]) -> dict[str, FloatArray]:
         J = given["J"]
         gain, drift, multipliers = _motion(given, inputs)
         S = J @ gain
         z = -J @ drift - given["X"] + given["prescribed"]
+        if self._takes_out is not None:
+            S, z = (np.array(v, dtype=float) for v in self._takes_out(S, z))
         y = inputs["y"] if "y" in inputs else given["y"]
         return {"psi": given["psi"].ravel(), "S": S, "z": z.ravel(), "y": y} | multipliers | _weight(given)
 
@@ -631,9 +642,9 @@ def _constraint_parts(scene: Scene, c: Any, solve: Solve) -> dict[str, Any]:
             "bends": ca.vertcat(*(ca.densify(ca.hessian(row, scene.mechanism.tau)[0]) for row in ca.vertsplit(c.phi))),
         }
     if isinstance(c, Output):
-        rates = [c.psi]
+        rates, u_dot = [c.psi], _free_motion(scene, c, solve)
         for _ in range(c.order - 1):
-            through = ca.mtimes(ca.jacobian(rates[-1], scene.mechanism.u), _free_motion(scene, solve))
+            through = ca.mtimes(ca.jacobian(rates[-1], scene.mechanism.u), u_dot)
             rates.append(_drift(scene, rates[-1]) + through)
         return {
             "psi": c.psi,
@@ -658,12 +669,44 @@ def _constraint_parts(scene: Scene, c: Any, solve: Solve) -> dict[str, Any]:
     }
 
 
-def _free_motion(scene: Scene, solve: Solve) -> Any:
-    """u' at tau = 0: no derivative of an output below its degree knows of tau."""
-    if not scene.mechanism.passive:
-        return solve(scene.mechanism.P)
-    held, shift = _constrained(scene, solve)
-    return held(scene.mechanism.P) + shift
+def _free_motion(scene: Scene, c: Output, solve: Solve) -> Any:
+    """u' at tau = 0, for no derivative of an output below its degree knows of tau; or under the controls that make the
+    rows hold which it stands behind, for it knows of no others."""
+    mech = scene.mechanism
+    if mech.passive:
+        held, shift = _constrained(scene, solve)
+        return held(mech.P) + shift
+    apart = _apart(scene)
+    if apart is None or c.name not in apart.names:
+        return solve(mech.P)
+    rows = [_constraint_parts(scene, other, solve) for other in scene.constraints if other.name not in apart.names]
+    J, X, prescribed = (ca.vertcat(*(row[name] for row in rows)) for name in ("J", "X", "prescribed"))
+    columns, still = list(apart.columns), ca.mtimes(J, solve(mech.P))
+    S = ca.mtimes(J, solve(mech.G))
+    return solve(mech.P + ca.mtimes(mech.G[:, columns], ca.solve(S[:, columns], prescribed - X - still)))
+
+
+def _apart(scene: Scene) -> Behind | None:
+    """Which outputs stand behind other rows, and the controls that make these hold."""
+    return None if scene.mechanism.passive else behind(draw_samples(scene), MassFindings(False, False))
+
+
+def _taken_out(scene: Scene, S: Any, z: Any) -> tuple[Any, Any]:
+    """S and z, SX: of rows that stand behind others, less as much of these as brings the controls that make them hold
+    to zero there."""
+    apart = _apart(scene)
+    if apart is None:
+        return S, z
+    names = [c.name for c in scene.constraints for _ in range(c.size)]
+    back = [k for k, name in enumerate(names) if name in apart.names]
+    front = [k for k, name in enumerate(names) if name not in apart.names]
+    columns = list(apart.columns)
+    factor = ca.solve(S[front, columns].T, S[back, columns].T).T
+    S, z = ca.SX(S), ca.SX(z)
+    S[back, :] = S[back, :] - ca.mtimes(factor, S[front, :])
+    S[back, columns] = 0
+    z[back] = z[back] - ca.mtimes(factor, z[front])
+    return S, z
 
 
 def _passive_parts(scene: Scene) -> dict[str, Any]:

@@ -37,6 +37,11 @@ def check_bodies(description: Description, tree: Tree, floating: bool, carrying:
         sound &= smallest > _ZERO and body.inertia.mass > 0
         empty = all(description.links[link] in (None, Inertia()) for link in carried[k])
         if k and empty and not {body.joint, *carried[k]} & set(carrying):
+            if all(inertia in (None, Inertia()) for inertia in description.links.values()):
+                raise SceneError(
+                    f"{description.source}: no link has an <inertial>, so the file tells the robot's kinematics alone; "
+                    "write masses and inertias into it, from a data sheet or an identification"
+                )
             raise SceneError(
                 f"{description.source}: link {carried[k][0]!r} has no <inertial>, and joint {body.joint!r} moves "
                 "nothing else; give the link mass and inertia, or lock the joint by leaving it out of joints=[...]"

@@ -20,6 +20,7 @@ from servogen.results import FloatArray, Status
 from servogen.scalars import Scalar
 from servogen.scene.domain import boundary_states, draw_states
 from servogen.scene.scene import Scene
+from servogen.scene.system import PASSIVE
 from servogen.verify.harness import build_images, complaint_of, execute, require_target, words_of, write_if_changed
 from servogen.verify.truth import STEP_DT
 from servogen.verify.vectors import literal
@@ -138,7 +139,8 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
 
     Of a package with <prefix>_batch.c control is called for 16 states at once, each of which is in turn the last drawn.
 
-    Of the entry points that evaluate, the constraints' values and the fused ones, which hold the others' code.
+    Of the entry points that evaluate, the constraints' values, servo and passive, multipliers and the fused ones, which
+    hold the others' code.
     """
     dtype = np.dtype(scalar).type
     fields = [f for f in scene.input_fields() if f.name in manifest["inputs"]]
@@ -161,6 +163,8 @@ def campaign_header(scene: Scene, prefix: str, scalar: Scalar, manifest: Mapping
             fields=fields,
             width=max(sum(f.size for f in fields), 1),
             largest=max(e["size"] for e in entries),
+            lowest=int(min(Status)),
+            statuses=max(Status) - min(Status) + 1,
             states=[[literal(float(x), scalar) for x in row] for row in rows],
             low=[literal(float(x), scalar) for x in box.min(axis=0)],
             high=[literal(float(x), scalar) for x in box.max(axis=0)],
@@ -190,7 +194,7 @@ def _entries(scene: Scene, manifest: Mapping[str, Any], scalar: Scalar) -> list[
             numbers = [number for _ in offered.arguments] if offered is not None else []
             actuals = ", ".join(["&hc_model", "&in", *numbers, "out", "&told"])
             entries.append({"name": name, "size": scene.controls, "has_info": True, "actuals": actuals})
-        elif offered is not None and (solves or name == system.constraint):
+        elif offered is not None and (solves or name == system.constraint or offered in PASSIVE):
             entries.append(_evaluating(name, [sizes[name]]))
     return entries
 

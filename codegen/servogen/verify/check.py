@@ -294,6 +294,7 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
     twin = reference(case.scene, case.scalar)
     worst: dict[str, float] = {}
     answer = case.scene.system.answer
+    ranks = next(e.rank for e in case.vectors.entries if e.name == "control")
     vectors = {(e.name, o.name): o for e in case.vectors.entries for o in e.outputs}
     system = case.scene.system
     names = (system.constraint, system.matrix, system.right)
@@ -304,9 +305,12 @@ def _reference_ulps(case: _Case) -> dict[str, float]:
         if status < 0:
             continue
         result = {n: v.astype(twin.dtype).astype(float) for n, v in result.items()}
-        result[answer] = twin.control(**inputs).value.astype(float)
+        control = twin.control(**inputs)
+        result[answer] = control.value.astype(float)
+        # Of dependent rows its own rounding may make independent ones; such a tau says nothing of its formulas.
+        other_rank = ranks is not None and control.info.rank != ranks[k]
         for name, expected in (wanted | {answer: vectors["control", answer]}).items():
-            if not np.all(np.isfinite(expected.tolerance[k])):
+            if not np.all(np.isfinite(expected.tolerance[k])) or (name == answer and other_rank):
                 continue
             hi, lo = expected.hi[k].astype(float), expected.lo[k].astype(float)
             error = float(np.max(np.abs((result[name].ravel() - hi) - lo)))
