@@ -63,7 +63,9 @@ def compile_text(text, compiler, folder, *flags):
 
 def test_context_names_every_status_and_path():
     context = solver_context(plan_solver(2, 3, "float64", Solver()), "pinv_2x3", str)
-    assert {name for name, _, _ in context["statuses"]} == {s.name for s in Status if s not in (*OF_LIMITS, *OF_PASSIVE)}
+    assert {name for name, _, _ in context["statuses"]} == {
+        s.name for s in Status if s not in (*OF_LIMITS, *OF_PASSIVE)
+    }
     assert {name for name, _, _ in context["paths"]} == set(SolverPath.__members__)
     assert context["P"] == "PINV_2X3"
 
