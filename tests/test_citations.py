@@ -51,7 +51,7 @@ def files() -> Iterator[Path]:
     """Whatever has comments or is prose: sources, templates, documents, and the C of one scalar of every scene."""
     kinds = {".py", ".j2", ".c", ".h", ".cpp", ".hpp", ".md", ".toml", ".txt"}
     yield from (ROOT / name for name in ("README.md", "dev"))
-    for folder in ("codegen", "firmware_sim", "tests"):
+    for folder in ("codegen", "examples", "firmware_sim", "tests"):
         yield from (p for p in (ROOT / folder).rglob("*") if p.suffix in kinds and p != Path(__file__))
     yield from (p for p in (ROOT / "generated").glob("*/f64/*.[ch]"))
 

@@ -34,11 +34,6 @@ class Optimum:
         """S x = z."""
         return _vanishes(self.rest)
 
-    @property
-    def best_of_all(self) -> bool:
-        """No limit keeps the rows from being met as well as without limits."""
-        return _vanishes(self.pull)
-
 
 def best_within(S: Matrix, z: Matrix, y: Matrix, lower: Limits, upper: Limits, metric: Matrix | None = None) -> Optimum:
     """The answer; metric: T, l x l of full rank, None for the identity. ValueError where lower > upper."""

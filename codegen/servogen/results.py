@@ -114,6 +114,11 @@ class Info:
         return f"Info({status}, {path}, {figures}{levels}{f', scale={_figure(self.scale)}{bits}' if limited else ''})"
 
 
+def refusal(status: Status) -> Info:
+    """Info of a negative status."""
+    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)
+
+
 def _names(kind: type[IntEnum], value: Any) -> str:
     if np.ndim(value) == 0:
         return kind(value).name

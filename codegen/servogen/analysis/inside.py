@@ -8,15 +8,11 @@ import casadi as ca
 
 from servogen.compiler import motion_of
 from servogen.derive.derive import derive
-from servogen.derive.formulation import MassFindings
-from servogen.derive.lower import lower_model
 from servogen.derive.passive import accelerations, closure_of
 from servogen.law.steps import React
 from servogen.scene.constraints import expression_of
-from servogen.scene.samples import Samples, draw_samples
 from servogen.scene.scene import Scene
-from servogen.survey.definiteness import survey_mass
-from servogen.survey.extension import Extension, Reached
+from servogen.survey.extension import Extension, Reached, surveyed
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ def inside_of_outputs(scene: Scene, extension: Extension) -> Inside:
     extended, reached = extension.scene, extension.reached
     assert reached is not None
     mech = extended.mechanism
-    samples, found = _found(extended)
+    samples, found = surveyed(extended)
     own = not extension.integrators
     y = scene.y if own and isinstance(scene.y, ca.SX) else ca.SX(extended.controls, 1)
     S = reached.S
@@ -69,7 +65,7 @@ def inside_of_outputs(scene: Scene, extension: Extension) -> Inside:
 def inside_of(scene: Scene) -> Inside:
     """Of a scene whose answer is no derivative of outputs: tau' of a state tau, or the forces of ideal constraints."""
     mech = scene.mechanism
-    samples, found = _found(scene)
+    samples, found = surveyed(scene)
     formulation = derive(samples, found)
     matrix, right = formulation[scene.system.matrix], None
     for step in formulation.law.routine("control").steps:
@@ -97,11 +93,6 @@ def inside_of(scene: Scene) -> Inside:
     if scene.system.tau_is_state:
         return Inside(scene, ("q", "u", "tau"), speeds, ca.vertcat(mech.q_dot, u_dot, answer), held, tau)
     return Inside(scene, ("q", "u"), speeds, ca.vertcat(mech.q_dot, u_dot), held, tau)
-
-
-def _found(scene: Scene) -> tuple[Samples, MassFindings]:
-    samples = draw_samples(scene)
-    return samples, survey_mass(samples, lower_model(scene))
 
 
 def _prescribed(reached: Reached) -> Any:

@@ -1,4 +1,5 @@
-"""The plan of the answer within limits: shapes and numbers of the templates bounded.c.j2 (numerics.md: Limits)."""
+"""The plan of the answer within limits: shapes and numbers of the templates bounded.c.j2 and bounded_quick.c.j2
+(numerics.md: Limits)."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +11,8 @@ from servogen.law.steps import Limit
 from servogen.plan.solver import SolverPlan
 
 CAP = 8
-"""Reductions allowed for each unknown; the largest number ever seen stays below half of it."""
+"""Reductions allowed for each unknown in one search, which may begin anew once; the largest number ever seen stays
+below half of it."""
 
 NOISE = 8
 """max(m, l) eps times this, relative: what rows miss, and pulls at limits, below which they are rounding."""

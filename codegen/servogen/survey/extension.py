@@ -118,7 +118,7 @@ def extend(scene: Scene) -> Extension:
 
 def degrees_of(scene: Scene) -> tuple[int | None, ...]:
     """The relative degree of each row of a servo scene, None for one that no control reaches."""
-    samples, found = _found(scene)
+    samples, found = surveyed(scene)
     most = states_of(scene)
     return tuple(d for c in scene.constraints for d in row_degrees(samples, found, c, most))
 
@@ -138,14 +138,15 @@ def _bare(scene: Scene) -> Scene:
     return replace(scene, y=None, weight=None, limits=None)
 
 
-def _found(scene: Scene) -> tuple[Samples, MassFindings]:
+def surveyed(scene: Scene) -> tuple[Samples, MassFindings]:
+    """The states at which all stages look at a scene, and what its Q is there."""
     samples = draw_samples(scene)
     return samples, survey_mass(samples, lower_model(scene))
 
 
 def reached_at(scene: Scene, degrees: tuple[int | None, ...]) -> Reached:
     """The rows of a servo scene, each in its derivative of that degree."""
-    samples, found = _found(scene)
+    samples, found = surveyed(scene)
     drift = Drift(samples, found, undeclared_rest=True)
     rates, ends, gradients = [], [], []
     known = iter(degrees)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servogen.results import FloatArray, Info, Path, Status
+from servogen.results import FloatArray, Info, Path, Status, refusal
 from servogen.textbook.policy import Policy
 from servogen.textbook.pseudo_inverse import consistent, counted_rows
 
@@ -30,7 +30,7 @@ def solve_cascade(
     S, z, y = (np.asarray(a, dtype=float) for a in (S, z, y))
     untouched = np.zeros(policy.l) if last is None else np.array(last, dtype=float)
     if not (np.isfinite(S).all() and np.isfinite(z).all() and np.isfinite(y).all()):
-        return untouched, _refused(Status.NONFINITE)
+        return untouched, refusal(Status.NONFINITE)
     tau, basis, counted = y, np.eye(policy.l), counted_rows(S, policy)
     ranks, damped = list[int](), False
     with np.errstate(over="ignore", invalid="ignore"):
@@ -41,7 +41,7 @@ def solve_cascade(
             ranks.append(basis.shape[1] - rest.shape[1])
             basis, damped = basis @ rest, damped or bent
     if not np.isfinite(tau.astype(policy.scalar)).all():
-        return untouched, _refused(Status.OVERFLOW)
+        return untouched, refusal(Status.OVERFLOW)
     status = Status.OK
     lead = next((k for k, own in enumerate(levels) if own), 0)
     rows = list(levels[lead])
@@ -118,7 +118,3 @@ def _level(
         kept_part = np.where(ratio < 1, ratio**2 * (2 - ratio**2), 1.0)
         move = raw_right[:rank].T @ (kept_part * (raw_left[:, :rank].T @ (asked / top * counted)) / raw[:rank])
     return move, right[rank:].T, damped
-
-
-def _refused(status: Status) -> Info:
-    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)

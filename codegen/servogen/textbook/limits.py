@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from servogen.results import FloatArray, Info, Path, Status
+from servogen.results import FloatArray, Info, Status, refusal
 from servogen.textbook.policy import Policy
 from servogen.textbook.pseudo_inverse import consistent, counted_rows, solve
 
@@ -45,7 +45,7 @@ def solve_within(
         return tau, dataclasses.replace(info, active=_mask(tau, lower, upper))
     if not np.all((lower <= upper) & (lower < np.inf) & (upper > -np.inf)):
         untouched = np.zeros(l) if last is None else np.array(last, dtype=float)
-        return untouched, Info(Status.LIMITS_CROSSED, Path.NONE, 0, 0, 0.0, 0.0, scale=0.0)
+        return untouched, refusal(Status.LIMITS_CROSSED)
     free = np.zeros(l) if y is None else np.asarray(y, dtype=float)
     counted = counted_rows(np.asarray(S, dtype=float), policy)
     z = np.asarray(z, dtype=float)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from servogen.results import FloatArray, Info, Path, Status
+from servogen.results import FloatArray, Info, Path, Status, refusal
 from servogen.textbook import pivoted
 from servogen.textbook.policy import Policy
 
@@ -29,14 +29,14 @@ def solve(
     y = np.zeros(policy.l) if y is None else _shaped(y, (policy.l,), "y")
     untouched = np.zeros(policy.l) if last is None else _shaped(last, (policy.l,), "last").copy()
     if not (np.isfinite(S).all() and np.isfinite(z).all() and np.isfinite(y).all()):
-        return untouched, _failed(Status.NONFINITE)
+        return untouched, refusal(Status.NONFINITE)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         left, sigma, right, row_unit, damped = _factors(S, policy)
         if len(sigma) == policy.l and not damped:
             y = np.zeros(policy.l)  # the one answer, whatever y
         tau = y + right @ ((left.T @ (z / row_unit - (S / row_unit[:, None]) @ y)) * _filter(sigma, damped, policy))
         if not _representable(tau, policy):
-            return untouched, _failed(Status.OVERFLOW)
+            return untouched, refusal(Status.OVERFLOW)
         rank = len(sigma)
         status = Status.OK
         if rank < policy.m:
@@ -53,12 +53,12 @@ def pinv(S: FloatArray, policy: Policy, last: FloatArray | None = None) -> tuple
     shape = (policy.l, policy.m)
     untouched = np.zeros(shape) if last is None else _shaped(last, shape, "last").copy()
     if not np.isfinite(S).all():
-        return untouched, _failed(Status.NONFINITE)
+        return untouched, refusal(Status.NONFINITE)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         left, sigma, right, row_unit, damped = _factors(S, policy)
         matrix = (right * _filter(sigma, damped, policy)) @ left.T / row_unit
         if not _representable(matrix, policy):
-            return untouched, _failed(Status.OVERFLOW)
+            return untouched, refusal(Status.OVERFLOW)
         rank = len(sigma)
         status = Status.OK if rank == policy.m else Status.RANK_DEFICIENT_CONSISTENT
         if damped:
@@ -171,7 +171,3 @@ def _info(status: Status, rank: int, S: FloatArray, residual: float, policy: Pol
         sigma_min=float(np.linalg.svd(S, compute_uv=False)[-1]),
         residual=residual,
     )
-
-
-def _failed(status: Status) -> Info:
-    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)

@@ -13,14 +13,14 @@ import numpy as np
 
 from servogen.law.law import shapes
 from servogen.plan.module import Module, Result, StructField
-from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Path, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Path, Status, refusal
 from servogen.scalars import Scalar
 from servogen.scene.limits import INPUTS
 from servogen.scene.scene import Scene
 from servogen.scene.system import Function
 from servogen.tools import c_compiler, compile_c
 from servogen.twins.batch import Call, States, run
-from servogen.twins.interface import Twin, refusal
+from servogen.twins.interface import Twin
 
 CROSS_CHECK_FLAGS = ("-std=c99", "-ffp-contract=off")
 

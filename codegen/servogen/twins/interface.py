@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from servogen.errors import SceneError
-from servogen.results import STATUS_MEANING, Batch, Control, FloatArray, Info, Path, Status
+from servogen.results import STATUS_MEANING, Batch, Control, FloatArray, Info, Status
 from servogen.scalars import Scalar
 from servogen.scene.constraints import expression_of
 from servogen.scene.limits import INPUTS
@@ -237,11 +237,6 @@ def _numbers(offered: Function, given: tuple[float, ...], inputs: dict[str, Any]
         wanted = ", ".join(offered.arguments) or "no number"
         raise TypeError(f"{offered.name} takes {wanted} before the inputs, which go by keyword")
     return [float(named[n]) for n in offered.arguments]
-
-
-def refusal(status: Status) -> Info:
-    """Info of a negative status."""
-    return Info(status, Path.NONE, 0, 0, 0.0, 0.0)
 
 
 def finite(values: Any) -> bool:

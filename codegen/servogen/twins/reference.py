@@ -14,7 +14,7 @@ from servogen.derive.formulation import MassFindings
 from servogen.derive.ideal import dependent_columns
 from servogen.derive.passive import independent_rows
 from servogen.derive.rows import Behind, behind, constraint_rows
-from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status
+from servogen.results import INFO_INTEGERS, INFO_REALS, Batch, Control, FloatArray, Info, Status, refusal
 from servogen.scalars import EPSILON, Scalar
 from servogen.scene.constraints import ControlsInvolved, Holonomic, Output
 from servogen.scene.limits import INPUTS, Side
@@ -29,7 +29,7 @@ from servogen.textbook.cascade import Switch, solve_switched
 from servogen.textbook.limits import solve_within
 from servogen.textbook.policy import Policy, policy_for
 from servogen.twins.batch import States
-from servogen.twins.interface import Twin, finite, refusal
+from servogen.twins.interface import Twin, finite
 
 _WITHOUT_MASS = {"psi": "psi", "phi": "psi", "A": "A", "closure": "closure"}
 """What needs no Q -> what it is called among the parts."""
