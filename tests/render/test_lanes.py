@@ -1,7 +1,6 @@
 """Vectors of states: the bits of the scalar code in every lane, whatever stands in the others."""
 
 import math
-import shutil
 import subprocess
 from typing import Any
 
@@ -91,9 +90,8 @@ def test_nothing_is_fused_where_the_machine_could() -> None:
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "g++"])
-def test_strict_flags(compiler: str, tmp_path) -> None:
-    if shutil.which(compiler) is None:
-        pytest.skip(f"no {compiler}")
+def test_strict_flags(compiler: str, tmp_path, need_tool) -> None:
+    need_tool(compiler, compiler)
     package = sg.build(branching(), tmp_path, scalar="float32", batch=True)
     name = "branching_f32_batch"
     flags = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1"]
