@@ -110,6 +110,14 @@ def test_arrays_are_read_where_they_are_and_as_they_are() -> None:
     assert len(twin.control_batch(q=q[0], u=u)) == 1
 
 
+def test_a_batch_left_in_the_folder_is_not_the_packages(tmp_path) -> None:
+    """An earlier package, of another shape, was made with batch; this one is not."""
+    sg.build_solver(1, 2, tmp_path, prefix="p", batch=True)
+    twin = sg.build_solver(1, 3, tmp_path, prefix="p").load(flags=["-O0"])
+    tau, _ = twin.solve([[[1.0, 2.0, 2.0]], [[0.0, 0.0, 2.0]]], [[9.0], [1.0]])
+    np.testing.assert_allclose(tau, [[1.0, 2.0, 2.0], [0.0, 0.0, 0.5]], rtol=1e-15)
+
+
 def test_what_is_wrong_with_a_batch_is_told() -> None:
     scene = load_scene("double_pendulum_energy")
     for twin in (sg.build(scene).load(flags=["-O0"]), sg.reference(scene)):

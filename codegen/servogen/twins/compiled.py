@@ -4,7 +4,7 @@ import ctypes as ct
 import platform
 import struct
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, Protocol
@@ -59,6 +59,8 @@ class Built(Protocol):
     @property
     def path(self) -> FilePath: ...
     @property
+    def manifest(self) -> Mapping[str, Any]: ...
+    @property
     def module(self) -> Module: ...
     @property
     def scene(self) -> Scene | None: ...
@@ -89,7 +91,7 @@ def load_package(
     module = package.module
     if package.scene is None:
         kind = CompiledSolver if module.limits is None else LimitedSolver
-        stacks = stack_source(module, _batch_of(package).is_file())
+        stacks = stack_source(module, _batch_of(package) is not None)
         return kind(module, compile_library(package, compiler, flags, stacks))
     library = compile_library(package, compiler, flags)
     return CompiledTwin(package.scene, module, library)
@@ -113,8 +115,9 @@ def build_library(
         sources.append(str(package.core / f"{package.module.target.core}.c"))
         folders.append(f"-I{package.core}")
     native: list[str] = []
-    if _batch_of(package).is_file():
-        sources.append(str(_batch_of(package)))
+    batch = _batch_of(package)
+    if batch is not None:
+        sources.append(str(batch))
         native = ["-march=native"] if platform.machine() in ("x86_64", "AMD64") else []  # vectors as long as they come
     if extra:
         beside = folder / "extra.c"
@@ -127,9 +130,13 @@ def build_library(
     return library
 
 
-def _batch_of(package: Built) -> FilePath:
-    """The C that does control, or solve, for many states by vectors; there if the package was built with batch."""
-    return package.path / f"{package.prefix}_batch.c"
+def _batch_of(package: Built) -> FilePath | None:
+    """The C that does control, or solve, for many states by vectors; None unless the package was built with batch.
+
+    The manifest tells: a file of that name may be there from an earlier package.
+    """
+    name = f"{package.prefix}_batch.c"
+    return package.path / name if name in package.manifest["files"] else None
 
 
 def _shape(module: Module) -> dict[str, int]:
