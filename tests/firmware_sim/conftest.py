@@ -85,7 +85,7 @@ class Sample:
         (package / f"{prefix}.h").write_text(_rename(header, prefix, scalar))
         (package / f"{prefix}.c").write_text(_rename(source, prefix, scalar))
         (package / "CMakeLists.txt").write_text(
-            TEMPLATES.get_template("CMakeLists.txt.j2").render(p=prefix, math=True, core="")
+            TEMPLATES.get_template("CMakeLists.txt.j2").render(p=prefix, math=True, core="", batch=False)
         )
         (package / "manifest.json").write_text(MANIFEST.format(prefix=prefix, scalar=scalar))
         return package

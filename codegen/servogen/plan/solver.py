@@ -99,7 +99,7 @@ class SolverPlan(Layout):
 
         In hundredths, rounded down.
         """
-        normal = math.sqrt(1 - self.normal_rounding * self.normal_limit)
+        normal = math.sqrt(max(0.0, 1 - self.normal_rounding * self.normal_limit))
         qr = self.least_share - self.least_rounding * math.sqrt(self.qr_limit)
         return math.floor(100 * self.sigma_share * max(0.0, min(normal, qr))) / 100
 
