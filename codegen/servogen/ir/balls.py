@@ -31,8 +31,10 @@ def ball(value: Any) -> Ball:
         return value
     if isinstance(value, Fraction):
         return flint.arb(flint.fmpq(value.numerator, value.denominator))
-    if isinstance(value, float | int | np.number):
+    if isinstance(value, float | np.floating):
         return flint.arb(float(value))
+    if isinstance(value, int | np.integer):
+        return flint.arb(int(value))
     return flint.arb(value)
 
 
