@@ -28,10 +28,10 @@ def test_info_has_names_for_its_numbers() -> None:
     assert repr(solver) == "<CompiledSolver of 2x3 matrices, float32>"
     S = np.eye(2, 3)
     one = solver.solve(S, [1.0, 2.0])[1]
-    assert repr(one) == "Info(OK, NORMAL, rank=2, sweeps=0, sigma_min=1, residual=0)"
+    assert repr(one) == "Info(OK, NORMAL, rank=2, sweeps=0, sigma_min=0.8165, residual=0)"
     many = solver.solve(np.array([S, S, 0 * S]), [[1.0, 2.0], [3.0, 4.0], [0.0, 0.0]])[1]
     assert repr(many) == (
-        "Info(OK*2 RANK_DEFICIENT_CONSISTENT*1, NORMAL*2 SVD*1, rank=0..2, sweeps=0..1, sigma_min=0..1, residual=0..0)"
+        "Info(OK*2 RANK_DEFICIENT_CONSISTENT*1, NORMAL*2 SVD*1, rank=0..2, sweeps=0..1, sigma_min=0..0.8165, residual=0..0)"
     )
 
 
