@@ -31,7 +31,8 @@ def test_info_has_names_for_its_numbers() -> None:
     assert repr(one) == "Info(OK, NORMAL, rank=2, sweeps=0, sigma_min=0.8165, residual=0)"
     many = solver.solve(np.array([S, S, 0 * S]), [[1.0, 2.0], [3.0, 4.0], [0.0, 0.0]])[1]
     assert repr(many) == (
-        "Info(OK*2 RANK_DEFICIENT_CONSISTENT*1, NORMAL*2 SVD*1, rank=0..2, sweeps=0..1, sigma_min=0..0.8165, residual=0..0)"
+        "Info(OK*2 RANK_DEFICIENT_CONSISTENT*1, NORMAL*2 SVD*1, "
+        "rank=0..2, sweeps=0..1, sigma_min=0..0.8165, residual=0..0)"
     )
 
 
