@@ -9,6 +9,8 @@ from servogen.simulate.closed_loop import ClosedLoop
 from servogen.simulate.trajectory import Trajectory
 from support.high_degree import crane_of_degrees, crane_path
 
+pytestmark = pytest.mark.xdist_group("crane")  # one loop is built for all of them
+
 REFERENCES = {"x": crane_path, "z": lambda t: 4 + crane_path(t)}
 DOMAIN = {"q": ([-2.0, 30.0, -0.6], [2.0, 60.0, 0.6]), "u": (-20.0, 20.0)}
 

@@ -76,9 +76,11 @@ def test_context_names_every_status_and_path():
     + [(SHAPES[-1], "float64", "gcc")],  # the largest takes as long as all others, and is printed like 3x7
 )
 def test_strict_flags(shape, scalar, compiler, tmp_path, need_tool):
+    """gcc finds what is not set while it optimises, clang finds all before it does."""
     need_tool(compiler, compiler)
+    level = "-O0" if compiler == "clang" else "-O1" if shape == SHAPES[-1] else "-O2"
     for solver in SOLVERS.values():
-        done = compile_text(render(*shape, scalar, solver), compiler, tmp_path, "-O2")
+        done = compile_text(render(*shape, scalar, solver), compiler, tmp_path, level)
         assert done.returncode == 0, done.stderr
 
 
