@@ -70,11 +70,14 @@ def _raised(text: str) -> str:
 
 @dataclass(frozen=True)
 class Card:
-    """One answer at the top of a scene: what is judged, the judgement in a word, whether it is good, and a sentence."""
+    """One answer at the top of a scene: what is judged, the judgement in a word, whether it is good, and a sentence.
+
+    good: None where it is neither good nor bad.
+    """
 
     what: str
     word: str
-    good: bool
+    good: bool | None
     text: str
 
 
@@ -86,9 +89,8 @@ def _cards(scene: SceneReport) -> list[Card]:
         cards.append(Card("The closed loop", verdict.word, verdict.held, f"{verdict.reason} {verdict.advice}".rstrip()))
     if scene.generated is not None:
         inside = scene.generated.inside
-        cards.append(
-            Card("What is left inside", inside.verdict, inside.verdict != "unstable", _sentence(inside.meaning))
-        )
+        good = {"none": True, "stable": True, "unstable": False}.get(inside.verdict)
+        cards.append(Card("What is left inside", inside.verdict, good, _sentence(inside.meaning)))
     if scene.robustness is not None:
         cards.append(_robustness(scene.robustness))
     if scene.check is not None:
