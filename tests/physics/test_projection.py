@@ -98,7 +98,7 @@ def test_an_affine_phi_from_far_away(far: float) -> None:
 def test_project_and_step_of_a_curved_phi_have_vectors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check_module, "HOST_COMPILERS", ("gcc",))  # it is about the truth
     scene = replace(awkward_scenes()["one_cubic"], name="cubic")
-    report = check([scene, CIRCLE], states=12)
+    report = check([scene, CIRCLE], states=30)
     assert report.passed, report.problems
     judged = {(o.scene, o.entry, o.scalar) for o in report.outputs if o.entry in ("project", "step") and o.compared}
     assert len(judged) == 8

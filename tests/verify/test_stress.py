@@ -50,7 +50,7 @@ def failures(report):
 
 
 def test_the_generated_solver_passes():
-    report = stress.stress(systems=60, shapes=((2, 2), (2, 3), (3, 2)))
+    report = stress.stress(systems=90, shapes=((2, 2), (2, 3), (3, 2)))
     assert failures(report) == set()
     assert report.passed
     assert {row.family for row in report.rows} == {name for name, f in stress.FAMILIES.items() if not f.long}

@@ -59,15 +59,18 @@ def hashes(
             many: [build(s, folder / f"{s.name}-{x}-{many}", x, math=math, batch=many) for s in scenes for x in EPSILON]
             for many in {one.batch for one in where}
         }
+        headers = {
+            many: {
+                p.prefix: campaign_header(p.scene, p.prefix, p.module.target.scalar, p.manifest)
+                for p in packages
+                if p.scene is not None
+            }
+            for many, packages in made.items()
+        }
         for number, one in enumerate(where):
-            packages = made[one.batch]
             for result in run_campaign(
-                packages,
-                {
-                    p.prefix: campaign_header(p.scene, p.prefix, p.module.target.scalar, p.manifest)
-                    for p in packages
-                    if p.scene is not None
-                },
+                made[one.batch],
+                headers[one.batch],
                 target=one.target,
                 compiler=one.compiler,
                 optimisation=one.level,
